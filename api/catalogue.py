@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from skugga.configs import LEVELS_FOLDER
-from skugga.terrain.errors import Problem, InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
 
 RASTER_SUFFIXES = ".tif", ".tiff", ".vrt", ".img", ".asc", ".hgt"

@@ -26,7 +26,7 @@ from skugga.shadows.render import Frame, render_frame
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.reach import Reach
 from skugga.terrain.errors import MISSING_VALUE, InputError
-from skugga.terrain.gbuffer.bare_ground import forget_ground_before
+from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, windows_of
 from skugga.terrain.level.level import spelt
@@ -237,7 +237,7 @@ def raster_parts(
                 yield RasterPart(number, *raster.placed(inside[0].start, inside[1].start, array[of_block]))
                 if product.when != "days":
                     step()
-            forget_ground_before(1)
+            trim_bare_ground_cache(1)
 
     return parts()
 

@@ -9,8 +9,8 @@ import numpy as np
 import rasterio
 from rasterio.windows import Window
 
+from skugga.terrain.atomic_files import atomic_path, write_error
 from skugga.terrain.errors import InputError
-from skugga.terrain.whole_files import replaced_whole, write_error
 
 WINDOW_CELLS = 2048
 """Cells along a window; neighbours share a row or column, on which their lines end at the same points."""
@@ -50,7 +50,7 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
         found.append(shapely.transform(single, lambda cell: np.stack(transform @ (cell[:, 0] + 0.5, cell[:, 1] + 0.5), axis=1)))
         labels.append(np.full(len(single), value))
     lines_found = np.concatenate(found) if found else np.empty(0, object)
-    with replaced_whole(output) as path:
+    with atomic_path(output) as path:
         try:
             pyogrio.raw.write(
                 path, geometry=shapely.to_wkb(lines_found), field_data=[np.concatenate(labels) if labels else np.empty(0)],

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from skugga.terrain.level.level import LoadedLevel
-from skugga.terrain.level.linked_files import files_beside, is_remote
+from skugga.terrain.level.linked_files import is_remote, sidecar_files
 
 MAX_FILES = 20_000
 """Of a mosaic: those beyond are not watched."""
@@ -22,7 +22,7 @@ def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
     would lie beside them.
     """
     found = dict.fromkeys([loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_FILES] if not is_remote(source))])
-    return tuple(dict.fromkeys([*found, *(beside for path in found for beside in files_beside(path))]))
+    return tuple(dict.fromkeys([*found, *(beside for path in found for beside in sidecar_files(path))]))
 
 
 def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:

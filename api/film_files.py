@@ -14,8 +14,8 @@ import numpy as np
 
 from skugga.api.animated_webp import add_frame, animation_frame, changes, write_head, write_length
 from skugga.api.png import encode_png
-from skugga.terrain.errors import Problem, InputError
-from skugga.terrain.whole_files import replaced_together, replaced_whole
+from skugga.terrain.atomic_files import atomic_folder, atomic_path
+from skugga.terrain.errors import InputError, Problem
 
 SEQUENCE_SUFFIX = ".png"
 FILM_SUFFIXES = ".webp", ".mp4"
@@ -84,13 +84,13 @@ def write_film(
     """
     count = _Count(on_frame)
     if path.suffix.lower() == SEQUENCE_SUFFIX:
-        with replaced_together(path.parent) as folder:
+        with atomic_folder(path.parent) as folder:
             encoded = _on_all_cores(encode_png, colors)
             for file, content in zip(film_files(path, frames), encoded, strict=True):
                 (folder / file.name).write_bytes(content)
                 count.add(len(content))
         return
-    with replaced_whole(path) as part:
+    with atomic_path(path) as part:
         if path.suffix.lower() == ".webp":
             _write_webp(part, colors, fps, lossless, count)
         else:

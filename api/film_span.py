@@ -6,17 +6,17 @@ from datetime import datetime, timedelta
 from math import floor
 
 from skugga.selector.film_request import MOST_FRAMES, FilmSpan
-from skugga.terrain.errors import MISSING_VALUE, Problem, InputError
+from skugga.terrain.errors import MISSING_VALUE, InputError, Problem
 from skugga.terrain.level.camera_file import CameraPathSpec
-from skugga.terrain.level.durations import DURATION_WORDS, parse_duration
-from skugga.terrain.level.parts import TIME_WORDS, time_of
+from skugga.terrain.level.durations import ALLOWED_DURATIONS, parse_duration
+from skugga.terrain.level.parts import ALLOWED_TIMES, parse_time
 
 USUAL_FPS, LEAST_FPS, MOST_FPS = 25.0, 0.1, 120.0
 """Frames a second of a film that plays."""
 
 LEAST_STEP_S = 0.001
 
-_END_WORDS = f"{TIME_WORDS}; or a reading of the level's clock, as 0s or 10m, under a sun that rests"
+_END_WORDS = f"{ALLOWED_TIMES}; or a reading of the level's clock, as 0s or 10m, under a sun that rests"
 _SAME_FRAME = 1e-6
 """Share of a step by which a film may be too short for its last frame: steps of a thirtieth of a second are rounded."""
 
@@ -79,7 +79,7 @@ def _end(name: str, text: str | None) -> datetime | timedelta:
     except ValueError:
         pass
     try:
-        moment = time_of(text.strip())
+        moment = parse_time(text.strip())
     except ValueError:
         raise InputError(name, text, _END_WORDS) from None
     if moment.tzinfo is None:
@@ -93,5 +93,5 @@ def _step_s(text: str) -> float:
     except ValueError:
         step_s = 0.0
     if step_s < LEAST_STEP_S:
-        raise InputError("step", text, f"{DURATION_WORDS}; at least {LEAST_STEP_S:g}s")
+        raise InputError("step", text, f"{ALLOWED_DURATIONS}; at least {LEAST_STEP_S:g}s")
     return step_s

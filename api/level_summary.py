@@ -11,7 +11,7 @@ from skugga.terrain.errors import InputError, UnsupportedError, combined_error
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
-from skugga.terrain.level.pin_scope import suns_left
+from skugga.terrain.level.pin_scope import uncovered_altitudes
 from skugga.terrain.scene import Scene, build_scene
 
 
@@ -71,14 +71,14 @@ def remarks(source: Path | LevelSource) -> list[str]:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
     if any(lamp.radius_m > 0.0 for lamp in scene.lamps.values()):
         notes += _cost_of_soft_lamps(scene)
-    if movers := scene.loaded.level.movers:
-        notes.append(f"moves by the clock: {', '.join(movers)}")
+    if moving_keys := scene.loaded.level.moving_keys:
+        notes.append(f"moves by the clock: {', '.join(moving_keys)}")
     notes += objects.notes
     notes += [f"warning: {text}" for text in (*scene.warnings, *objects.warnings)]
     if not is_generated:
         notes.append(f"{elevation.vertical.statement}; if that is wrong, set terrain.units or terrain.positive")
-    if scene.world.off_earth is not None and not is_generated:
-        notes.append(f"{scene.world.off_earth}: no web tiles, and the sun by azimuth and altitude only")
+    if scene.world.off_earth_reason is not None and not is_generated:
+        notes.append(f"{scene.world.off_earth_reason}: no web tiles, and the sun by azimuth and altitude only")
     return notes
 
 
@@ -93,19 +93,19 @@ def _planned(scene: Scene) -> Iterator[tuple[str, Scene]]:
         for name in level.views if level.views and pin.view is None else (pin.view or "map",):
             if pin.sun_altitude_deg is None and scene.sun is None:
                 yield name, scene
-            for low, high in suns_left(pins, number, name):
+            for low, high in uncovered_altitudes(pins, number, name):
                 if high > 0.0:
                     yield name, scene.with_sun(SunSpec(azimuth=azimuth, altitude=(max(low, 0.0) + high) / 2))
 
 
 def _read_all(scene: Scene) -> None:
     """Place a level's views and read the files that it names. Raises one ``InputError`` for all that is wrong with them."""
-    from skugga.terrain.gbuffer.picture import imagery_of
+    from skugga.terrain.gbuffer.view_geometry import ground_imagery
 
     objects = scene.objects
     wrong: list[InputError] = []
     reads: list[Callable[[], object]] = [partial(scene.view, name) for name in scene.loaded.level.views]
-    reads += [lambda: imagery_of(scene), lambda: objects.placement, lambda: objects.trees, lambda: scene.lamps]
+    reads += [lambda: ground_imagery(scene), lambda: objects.placement, lambda: objects.trees, lambda: scene.lamps]
     for read in reads:
         try:
             read()

@@ -19,16 +19,16 @@ from rasterio.io import DatasetWriter
 from rasterio.windows import Window
 
 from skugga.api.raster_file import check_raster
+from skugga.terrain.atomic_files import atomic_path, write_error
 from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import InputError, SourceError
 from skugga.terrain.ground.elevation import plausible_m
-from skugga.terrain.ground.georeference import crs_of
+from skugga.terrain.ground.georeference import checked_crs
 from skugga.terrain.ground.open_raster import GTIFF_VERTICAL
 from skugga.terrain.ground.overview import lacks_overviews, overview_level
 from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.level.parts import Positive, Units
 from skugga.terrain.level.rasters import open_raster
-from skugga.terrain.whole_files import replaced_whole, write_error
 
 TILE_CELLS = 512
 """Side of a tile of the file."""
@@ -77,7 +77,7 @@ def make_overviews(
         rows, cols = (-(-size // 2) for size in dataset.shape)
         parts = [*_parts(rows, cols)]
         total = len(parts) + max(len(parts) // 3, 1)  # the coarser ones have a third of the cells
-        with replaced_whole(target) as made:
+        with atomic_path(target) as made:
             with rasterio.open(
                 made, "w", driver="GTiff", width=cols, height=rows, count=1, dtype=dtype, nodata=empty, tiled=True,
                 blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="deflate", zlevel=1, num_threads="ALL_CPUS",
@@ -148,7 +148,7 @@ def _plausible(dataset: rasterio.DatasetReader, units: Units | None, positive: P
     """The least and the greatest value of a cell that is taken for a height."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
     unit = vertical_axis(dataset.name, dataset, units, positive).scale
-    low, high = sorted((limit / unit - offset) / scale for limit in plausible_m(crs_of(dataset.name, dataset)))
+    low, high = sorted((limit / unit - offset) / scale for limit in plausible_m(checked_crs(dataset.name, dataset)))
     return low, high
 
 

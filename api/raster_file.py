@@ -18,7 +18,7 @@ from rasterio.io import DatasetWriter
 from rasterio.shutil import copy
 from rasterio.windows import Window
 
-from skugga.terrain.whole_files import replaced_whole, write_error
+from skugga.terrain.atomic_files import atomic_path, write_error
 
 TILE = 512
 
@@ -89,7 +89,7 @@ def cog(
     It takes its place when all is written and can be read; where that fails, what lay there stays. Raises ``OSError``.
     """
     rows, cols = shape
-    with rasterio.Env(), replaced_whole(path) as done:
+    with rasterio.Env(), atomic_path(path) as done:
         raw = done.parent / "cells" / "raw.tif"
         raw.parent.mkdir()
         with rasterio.open(

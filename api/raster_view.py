@@ -168,7 +168,7 @@ def _like(scene: Scene, cells: RasterCells) -> RasterView:
         raise SourceError(cells.name, "a turned grid", "rows and columns along the axes of its CRS")
     west, south, east, north = found.view.bounds
     right, up = (east - west) / found.view.cols / 2.0, (north - south) / found.view.rows / 2.0
-    if not scene.shows(cells.crs, (west + right, south + up, east - right, north - up)):  # the cells' centres
+    if not scene.overlaps(cells.crs, (west + right, south + up, east - right, north - up)):  # the cells' centres
         own = scene.default_bounds(cells.crs)
         raise InputError("like", cells.name, f"a raster that meets the level, {_extents(found.view.bounds, own, cells.crs)}")
     return found

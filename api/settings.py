@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from skugga.terrain.cores import usable_cores
-from skugga.terrain.errors import Problem, InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.gl.egl_devices import AUTO_DEVICE, read_setting
 
 MAX_DEFAULT_WORKERS = 4

@@ -19,7 +19,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from skugga.api.raster_file import RasterCells
-from skugga.terrain.errors import Problem, InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.parts import SunSpec
 

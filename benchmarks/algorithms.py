@@ -41,7 +41,7 @@ import numpy as np
 import trimesh
 
 from skugga.api.catalogue import find_level
-from skugga.selector.measure.compare import drawn_on, measure_plan
+from skugga.selector.measure.compare import measure_plan, picture_blocks
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
@@ -176,9 +176,9 @@ def ridges(folder: Path) -> Scene:
     rng, eye = np.random.default_rng(1), np.array(EYE_M)
     ahead = -eye / np.linalg.norm(eye)
     aside = np.array([-ahead[1], ahead[0]])
-    away_m = np.repeat(HOUSES_AT_M, 5)
-    along, across = rng.uniform(1.0, 1.2, len(away_m)), rng.uniform(-0.4, 0.4, len(away_m))
-    houses = eye + (away_m * along)[:, None] * ahead + (away_m * across)[:, None] * aside
+    distance_m = np.repeat(HOUSES_AT_M, 5)
+    along, across = rng.uniform(1.0, 1.2, len(distance_m)), rng.uniform(-0.4, 0.4, len(distance_m))
+    houses = eye + (distance_m * along)[:, None] * ahead + (distance_m * across)[:, None] * aside
     level = {
         "version": 1,
         "terrain": {"generate": {"kind": "ridges", "size": [RIDGES_M, RIDGES_M], "cell": RIDGES_CELL_M, "relief": 1500, "seed": 3}},
@@ -249,7 +249,7 @@ def shot(level: str, name: str, size: tuple[int, int]) -> Shot:
     assert isinstance(view, PerspectiveView)
     if name == IN_SHADOW:
         view = replace(view, eye_earth_m=view.eye_earth_m + AHEAD_M * view.earth_from_camera[:, 2])
-    return Shot(scene, view, name, drawn_on(scene, view))
+    return Shot(scene, view, name, picture_blocks(scene, view))
 
 
 def thesis(given: argparse.Namespace) -> list[Row]:

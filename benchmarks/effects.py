@@ -58,7 +58,7 @@ from skugga.shadows.ground_pictures import ground_picture
 from skugga.shadows.passes import PassLog
 from skugga.shadows.picture import Picture
 from skugga.shadows.plan import Plan
-from skugga.shadows.render import SHADING_PASS, bands_of, render_frame, under_sky
+from skugga.shadows.render import SHADING_PASS, apply_refraction, bands_of, render_frame
 from skugga.terrain.cache import clear_caches
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.describe import describe
@@ -300,7 +300,7 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
         shown[name] = _drawn_block(scene, view, plan)
         ms[name] = time.process_time() - start
     with (
-        patch("skugga.shadows.block_casters.idle_patches", lambda *of: frozenset()),
+        patch("skugga.shadows.block_casters.culled_patches", lambda *of: frozenset()),
         patch("skugga.shadows.block_casters.own_ground_is_clear", lambda *of: False),
     ):
         clear_caches("light")
@@ -323,7 +323,7 @@ def _drawn_block(scene: Scene, view: MapView, plan: Plan) -> Picture:
     """Draw a block as ``skugga.shadows.draw`` does. It is one block wherever it lies; ``draw`` would cut it from up to four."""
     if heights_suffice(scene, view, plan, SHADED):
         log = PassLog()
-        picture = ground_picture(under_sky(scene, plan, log), view, plan, SHADED, log)
+        picture = ground_picture(apply_refraction(scene, plan, log), view, plan, SHADED, log)
         if picture is not None:
             return replace(picture, passes=tuple(log.records.values()))
     return picture_of(render_frame(scene, view, plan), SHADED)

@@ -44,7 +44,7 @@ from skugga.selector.select import plan_of_view  # noqa: E402
 from skugga.shadows.render import render_frame  # noqa: E402
 from skugga.terrain.cache import clear_caches  # noqa: E402
 from skugga.terrain.geo.camera import PerspectiveView  # noqa: E402
-from skugga.terrain.gl.programs import recorded  # noqa: E402
+from skugga.terrain.gl.programs import record_draw_calls  # noqa: E402
 from skugga.terrain.level.level import load_level  # noqa: E402
 from skugga.terrain.level.parts import SunSpec  # noqa: E402
 from skugga.terrain.scene import Scene, build_scene  # noqa: E402
@@ -166,7 +166,7 @@ class Worker:
         self.picture, self.visibility = None, self.visibility[:0]  # the last one goes before the next is made, as in a service
         COSTS.reads, COSTS.read_bytes = 0, 0
         wall, cpu = time.perf_counter(), time.process_time()
-        with recorded() as calls:
+        with record_draw_calls() as calls:
             frame = render_frame(scene, view, self.plans[asked["plan"]])
         took = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
         self.picture, self.visibility = frame.color, np.stack(list(frame.visibilities.values()))
@@ -174,7 +174,7 @@ class Worker:
         passes["outside of passes"] = took["ms"] - sum(passes.values())
         triangles = sum(record.triangles for record in frame.passes)
         counts = {"reads": COSTS.reads, "read_mib": COSTS.read_bytes / 2**20, "draws": len(calls), "triangles": triangles}
-        digests = {"color": digest_of([frame.color]), "visibility": digest_of([self.visibility])}
+        digests = {"color": profile_digest([frame.color]), "visibility": profile_digest([self.visibility])}
         return {**took, **counts, **digests, "passes_ms": passes, "peak_gb": peak_gb()}
 
     def yardstick(self, asked: dict[str, Any]) -> dict[str, Any]:
@@ -189,7 +189,7 @@ class Worker:
         stick = self.yardsticks[key]
         COSTS.reads, COSTS.read_bytes = 0, 0
         wall, cpu = time.perf_counter(), time.process_time()
-        with recorded() as calls:
+        with record_draw_calls() as calls:
             self.picture = stick.draw(scene, view)[..., :3]
         took = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
         counts = {"reads": COSTS.reads, "read_mib": COSTS.read_bytes / 2**20, "draws": len(calls), "triangles": stick.triangles}
@@ -206,7 +206,7 @@ class Worker:
         return {}
 
 
-def digest_of(arrays: list[np.ndarray]) -> str:
+def profile_digest(arrays: list[np.ndarray]) -> str:
     """What tells some arrays from others."""
     digest = hashlib.sha256()
     for array in arrays:

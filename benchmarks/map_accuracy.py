@@ -21,10 +21,10 @@ from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
-from skugga.shadows.truth.metrics import errors_of
-from skugga.shadows.truth.truth import truth_of
+from skugga.shadows.truth.metrics import error_metrics
+from skugga.shadows.truth.truth import trace_truth
 from skugga.shadows.visibility import fill_steps
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import SkuggaError
 from skugga.terrain.gbuffer.geometry import map_geometry
@@ -56,8 +56,8 @@ def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, 
         view = lit.view(bounds=(x - half, south, x + half, north), size=(side, side))
         frame = lit.world.frame_near(view.grid.crs, *view.centre)
         buffer = map_geometry(lit.surface(view.grid), view, frame)
-        casters = casters_of(lit, buffer)
-        truth = truth_of(buffer, lit, casters)
+        casters = find_casters(lit, buffer)
+        truth = trace_truth(buffer, lit, casters)
         descriptor = describe(lit, view)
         plan = make_plan(descriptor, lit.loaded.level, {"algorithm": algorithm, "map_size": map_size, "filter": taps})
         step = next((step for step in plan.steps if step.algorithm == algorithm), None)
@@ -65,7 +65,7 @@ def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, 
             continue
         visibility = fill_steps([step], buffer, lit, casters, plan.runs, PassLog())
         visibility[attached(buffer, lit)] = 0.0
-        found = errors_of(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
+        found = error_metrics(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
         shadowed = float((~truth.lit & truth.there).sum() / max(truth.there.sum(), 1))
         rows.append({"azimuth": azimuth, "altitude": altitude, "shadow": shadowed, **asdict(found)})
     return rows

@@ -24,9 +24,9 @@ from skugga.selector.planner.planner import make_plan
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.visibility import fill_steps
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.gl.device import device
 from skugga.terrain.level.level import load_level
@@ -74,8 +74,8 @@ def errors(given: argparse.Namespace) -> list[Row]:
 def times(given: argparse.Namespace) -> list[Row]:
     rows = []
     for level, scene, name, view in views(given.levels, tuple(given.size)):
-        buffer = geometry_of(scene, view)
-        casters = casters_of(scene, buffer)
+        buffer = geometry_buffer(scene, view)
+        casters = find_casters(scene, buffer)
         times_by_map: dict[str, list[float]] = {}
         held, notes = {}, {}
         todo = plans(scene, view, name, given.map_size, given.filter)

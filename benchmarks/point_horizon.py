@@ -21,7 +21,7 @@ from pyproj import CRS
 
 from skugga.api.catalogue import find_level
 from skugga.shadows.point.clock import clock_of
-from skugga.shadows.point.horizon import horizon_round, surroundings
+from skugga.shadows.point.horizon import horizon_profile, load_surroundings
 from skugga.shadows.point.place import PointPlace, place_at
 from skugga.shadows.point.relief_pages import paged_relief
 from skugga.shadows.point.sun_day import sun_day
@@ -58,13 +58,13 @@ def places_of(scene: Scene, count: int) -> list[tuple[float, float]]:
 
 def report(scene: Scene, at: tuple[float, float], crs: CRS, day: date) -> None:
     """What a day's report takes: the place, what stands round it, its day."""
-    around = surroundings(scene, place_at(scene, at, crs, 1.6))
+    around = load_surroundings(scene, place_at(scene, at, crs, 1.6))
     sun_day(around, day, clock_of("solar", around.place.lon_deg, day))
 
 
 def whole(scene: Scene, at: tuple[float, float], crs: CRS) -> None:
     """What a horizon of 720 directions takes."""
-    horizon_round(surroundings(scene, place_at(scene, at, crs, 1.6)))
+    horizon_profile(load_surroundings(scene, place_at(scene, at, crs, 1.6)))
 
 
 def share_agreeing(scene: Scene, places: list[tuple[float, float]], crs: CRS) -> float:
@@ -75,9 +75,9 @@ def share_agreeing(scene: Scene, places: list[tuple[float, float]], crs: CRS) ->
     rays = RayScene([sheet])
     agree = []
     for at in places:
-        around = surroundings(scene, place_at(scene, at, crs, 1.6))
+        around = load_surroundings(scene, place_at(scene, at, crs, 1.6))
         bare = replace(around, triangles=around.triangles[:0], trees=None)
-        horizon = horizon_round(bare)
+        horizon = horizon_profile(bare)
         for aside in (ASIDE_DEG, -ASIDE_DEG):
             agree += _as_rays(bare.place, frame, rays, horizon.azimuth_deg, horizon.relief_deg + aside, aside < 0)
     return float(np.mean(agree))
@@ -117,7 +117,7 @@ def measured(name: str, count: int, day: date) -> str:
     warm = np.array([timed(lambda at=at: report(scene, at, crs, day)) for at in places[1:]])
     horizons = np.array([timed(lambda at=at: whole(scene, at, crs)) for at in places[1:]])
     agree = "-"
-    if scene.elevation.rows * scene.elevation.cols <= MOST_CELLS and scene.elevation.upright:
+    if scene.elevation.rows * scene.elevation.cols <= MOST_CELLS and scene.elevation.is_north_up:
         try:
             agree = f"{100.0 * share_agreeing(scene, places[:8], crs):.2f} %"
         except InputError:

@@ -28,10 +28,10 @@ from skugga.selector.measure.compare import measure_plan
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.metrics import block_shares, coverage_error
-from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from skugga.terrain.casters.reach import casters_of
+from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.gl.device import device
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
@@ -116,17 +116,17 @@ def trees(count: int, repeats: int) -> None:
 
 
 def thinning(count: int) -> None:
-    whole_px = stand_module.ALL_TREES_PX
+    whole_px = stand_module.FULL_STAND_TREE_PX
     with tempfile.TemporaryDirectory() as folder:
         for name in ("low", "high"):
             shares = []
-            for stand_module.ALL_TREES_PX in (1e-6, whole_px):
+            for stand_module.FULL_STAND_TREE_PX in (1e-6, whole_px):
                 scene = build_scene(load_level(wooded_hills(Path(folder), count)))  # anew: stands are kept by their scene
                 view, drawn, parts = scene.view(name), 0, []
                 for row, col in WINDOW_ORIGINS:
-                    buffer = geometry_of(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))
+                    buffer = geometry_buffer(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))
                     drawn = len(buffer.tree_instances)
-                    lit = lit_from(buffer, scene, "sun", ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS))
+                    lit = lit_mask(buffer, scene, "sun", ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS))
                     parts.append(block_shares(np.where(buffer.there, 1.0 - lit, np.nan)))
                 shares.append(np.array(parts))
             means = [float(np.nanmean(share)) for share in shares]

@@ -97,7 +97,7 @@ class CellRays:
         nodes = bare_nodes(scene, view, 1)
         surface = scene.surface(view.grid).window(int(view.row0), int(view.col0), view.rows, view.cols, nodes.frame)
         start = surface.position_frame_m[row, col]
-        upwards = start - scene.world.up_from(nodes.frame)
+        upwards = start - scene.world.up_origin(nodes.frame)
         return CellRays(surface.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
 
     def see(self, direction: np.ndarray, least_sine: float = 0.0) -> np.ndarray:

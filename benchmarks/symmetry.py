@@ -21,10 +21,10 @@ import rasterio
 
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from skugga.terrain.casters.reach import casters_of
+from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -114,8 +114,8 @@ def dark(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
         return np.nan_to_num(render_frame(scene, view, plan).visibility, nan=1.0) < 0.5
     out = np.zeros((view.rows, view.cols), bool)
     for part, row, col in blocks_of(view):
-        buffer = geometry_of(scene, part)
-        shadow = buffer.there & ~lit_from(buffer, scene, SUN, ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS))
+        buffer = geometry_buffer(scene, part)
+        shadow = buffer.there & ~lit_mask(buffer, scene, SUN, ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS))
         top, left = max(row, 0), max(col, 0)
         bottom, right = min(row + part.rows, view.rows), min(col + part.cols, view.cols)
         out[top:bottom, left:right] = shadow[top - row : bottom - row, left - col : right - col]

@@ -18,14 +18,14 @@ import numpy as np
 
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
-from skugga.terrain.gbuffer.picture import solids_in
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.gbuffer.tree_instances import tree_instances_in_perspective
+from skugga.terrain.gbuffer.view_geometry import solid_vertices
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import albedo_of, light_here
+from skugga.terrain.shading import albedo_of, daylight_in_frame
 from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 MAP_BITS = 16
@@ -177,7 +177,7 @@ class Yardstick:
         """The picture (rows, cols, 4) uint8 of a view from about there, under any sun."""
         gl = device()
         eye, camera_from_frame = view.in_frame(self._frame)
-        light = light_here(scene, self._frame)
+        light = daylight_in_frame(scene, self._frame)
         to_sun = np.asarray(light.to_sun_frame, np.float64)
         map_from_frame = self._map(eye, camera_from_frame, to_sun)
         if self._depth is not None:
@@ -255,7 +255,7 @@ def _opaque(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame: Loca
     )  # fmt: skip
     parts = [np.concatenate([points[0], normals[0], albedo_of(buffer, scene)[0]], axis=1)]
     indices = [ground.triangles]
-    solids, corners = scene.objects.solids, solids_in(scene.objects, frame)
+    solids, corners = scene.objects.solids, solid_vertices(scene.objects, frame)
     if solids is not None and corners is not None:
         at = corners[solids.triangles].reshape(-1, 3)
         facing = frame.directions_from_earth(solids.corner_normals_earth).reshape(-1, 3)

@@ -32,7 +32,7 @@ from skugga.terrain.cache import clear_caches
 from skugga.terrain.casters import reach
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.covered_nodes import PixelsShow, halvings
+from skugga.terrain.gbuffer.supersampling import PixelSampling, subdivision_level
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
@@ -68,7 +68,7 @@ def mosaic_of(raster: Path, folder: Path) -> Path:
 
 def own_zoom(scene: Scene) -> int:
     """The coarsest zoom of Web Mercator whose pixels go by their own points."""
-    return next(zoom for zoom in range(25) if halvings(scene, block_of(scene, zoom)) == 0 and narrow(scene, zoom))
+    return next(zoom for zoom in range(25) if subdivision_level(scene, block_of(scene, zoom)) == 0 and narrow(scene, zoom))
 
 
 def narrow(scene: Scene, zoom: int) -> bool:
@@ -91,11 +91,11 @@ def block_of(scene: Scene, zoom: int, east: float = 0.5) -> MapView:
     return MapView(view.grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
-def visibility_of(scene: Scene, view: MapView, pixels_show: PixelsShow, algorithm: str) -> np.ndarray:
+def visibility_of(scene: Scene, view: MapView, pixel_sampling: PixelSampling, algorithm: str) -> np.ndarray:
     """Visibility (n,) of the pixels that show ground."""
     asked = {} if algorithm == "auto" else {"algorithm": algorithm}
-    plan = make_plan(describe(scene, view, pixels_show=pixels_show), scene.loaded.level, asked)
-    frame = render_frame(scene, view, plan, pixels_show=pixels_show)
+    plan = make_plan(describe(scene, view, pixel_sampling=pixel_sampling), scene.loaded.level, asked)
+    frame = render_frame(scene, view, plan, pixel_sampling=pixel_sampling)
     return frame.visibility[frame.there]
 
 
@@ -106,7 +106,7 @@ def shares(scene: Scene, algorithm: str) -> None:
     for zoom in range(own, own - ZOOMS_BELOW - 1, -1):
         view = whole_view(scene, zoom)
         shown, points = (visibility_of(scene, view, show, algorithm) for show in ("means", "points"))  # type: ignore[arg-type]
-        side = 2 ** halvings(scene, view)
+        side = 2 ** subdivision_level(scene, view)
         mask = (shown < 0.5).mean()
         print(
             f"| {zoom} | {side} x {side} | {100 * (1 - shown.mean()):.2f} | {100 * (1 - points.mean()):.2f} | {100 * mask:.2f} |",
@@ -120,7 +120,7 @@ def times(scene: Scene, repeats: int) -> None:
     print("| zoom | pieces of a pixel | block, ms | by own points, ms | ratio |\n| --- | --- | --- | --- | --- |")
     for zoom in range(own - 1, own - 5, -1):
         view, found = block_of(scene, zoom), {}
-        ways: tuple[PixelsShow, ...] = ("means", "points")
+        ways: tuple[PixelSampling, ...] = ("means", "points")
         plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})
         for repeat in range(repeats + 1):
             for show in ways:
@@ -131,7 +131,7 @@ def times(scene: Scene, repeats: int) -> None:
                     found.setdefault(show, []).append(((time.perf_counter() - start) * 1000.0, log))
         ms = {show: float(np.median([each for each, _ in runs])) for show, runs in found.items()}
         ratio = float(np.median([a / b for (a, _), (b, _) in zip(found["means"], found["points"], strict=True)]))
-        side = 2 ** halvings(scene, view)
+        side = 2 ** subdivision_level(scene, view)
         print(f"| {zoom} | {side} x {side} | {ms['means']:.0f} | {ms['points']:.0f} | {ratio:.2f} |", flush=True)
         if zoom == own - 2:
             for show in ways:

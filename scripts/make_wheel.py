@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 COMPILE = """
 import shutil, subprocess, sys
-from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.compiling.ahead_of_time import PRODUCTS, compile_ahead
 from skugga.terrain.compiling.farm import named_tasks
 from skugga.terrain.compiling.loop_cache import loop_store
 from skugga.terrain.compiling.store import SUFFIX

@@ -21,7 +21,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, MASKS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS
+from skugga.terrain.compiling.ahead_of_time import MAPS, MAPS_OF_CASTERS, MASKS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS
 
 TIME = "2024-10-21T16:30:00+00:00"
 """A time for rasters near Greenwich, with the sun low in the west."""
@@ -178,7 +178,7 @@ MAKERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
 
 def record(product: str) -> list[tuple[str, Any]]:
     """Make a product in this process, whose store is empty; return the loops that were compiled, with their encoded types."""
-    from skugga.terrain.compiling.hooks import compile_when_called
+    from skugga.terrain.compiling.hooks import compile_lazily
     from skugga.terrain.compiling.loop_cache import recorders
     from skugga.terrain.compiling.signatures import decode_type, encode_type
 
@@ -193,7 +193,7 @@ def record(product: str) -> list[tuple[str, Any]]:
         found.append((f"{function.__module__}:{function.__qualname__}", encoded))
 
     recorders.append(note)
-    compile_when_called()
+    compile_lazily()
     with tempfile.TemporaryDirectory() as folder:
         MAKERS[product](write_rasters(Path(folder)), Path(folder))
     return found

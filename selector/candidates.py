@@ -23,7 +23,7 @@ from skugga.terrain.scene import Scene
 MAX_CANDIDATES = 40
 """Candidates of a view, at most."""
 
-TAPS_OF_DEFAULT: tuple[int | str, ...] = (1, 3, "sun")
+DEFAULT_PLAN_FILTERS: tuple[int | str, ...] = (1, 3, "sun")
 """Filters for variants of the default plan."""
 
 
@@ -61,34 +61,34 @@ def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
     with suppress(UnsupportedError):  # the level's own algorithm may not serve this view
         default = make_plan(descriptor, level)
         yield default
-        for taps in TAPS_OF_DEFAULT:
+        for taps in DEFAULT_PLAN_FILTERS:
             with suppress(UnsupportedError):  # not every algorithm has every filter
                 yield make_plan(descriptor, level, {"algorithm": {light: default.algorithm.get(light, {})}, "filter": taps})
     served = [each for each in ALGORITHMS.values() if each.served]
     compared = [{"algorithm": each.name, **overrides} for each in served for overrides in each.search.compared]
     for asked in [*({"algorithm": each.name} for each in served), *compared]:
-        yield from _as_far_as_it_serves(descriptor, level, light, asked)
+        yield from _widest_served_plans(descriptor, level, light, asked)
     if light == SUN and {"relief", "meshes"} <= set(descriptor.casters):
         for mix in (mix for mix in MIXES if mix.in_report):
             by_kind = {kind: mix.algorithm.get(kind, FALLBACK) for kind in ("relief", "meshes")}
-            yield from _served(descriptor, level, light, {"algorithm": by_kind})
+            yield from _served_plans(descriptor, level, light, {"algorithm": by_kind})
     for each in reversed(served):
         for overrides in each.search.variants:
-            yield from _as_far_as_it_serves(descriptor, level, light, {"algorithm": each.name, **overrides})
+            yield from _widest_served_plans(descriptor, level, light, {"algorithm": each.name, **overrides})
 
 
-def _as_far_as_it_serves(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
+def _widest_served_plans(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
     name: AlgorithmName = overrides["algorithm"]
     parts = [name, *([{"relief": name, "meshes": name}, {"relief": name}] if light == SUN else [])]
-    return next(filter(None, (_served(descriptor, level, light, overrides | {"algorithm": part}) for part in parts)), [])
+    return next(filter(None, (_served_plans(descriptor, level, light, overrides | {"algorithm": part}) for part in parts)), [])
 
 
-def _served(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
+def _served_plans(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
     """Return the plan for the overrides, if the algorithm serves and is used under the light."""
     with suppress(UnsupportedError):
         plan = make_plan(descriptor, level, overrides, choices={})  # other kinds use shadow maps
-        wanted = overrides["algorithm"]
-        names = set(wanted.values()) if isinstance(wanted, dict) else {wanted}
+        requested = overrides["algorithm"]
+        names = set(requested.values()) if isinstance(requested, dict) else {requested}
         if names & set(plan.algorithm.get(light, {}).values()) or not plan.algorithm:
             return [plan]
     return []

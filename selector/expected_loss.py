@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log
 
-from skugga.selector.belief import logistic_chance_over
-from skugga.selector.ranking import CandidateFigures, RankingResult, best, relative_overshoot
+from skugga.selector.gaussian_estimate import logistic_probability_over
+from skugga.selector.ranking import CandidateFigures, RankingResult, best_candidate, relative_overshoot
 from skugga.shadows.registry import NO_SHADOWS
 
 MISS_PENALTY = 10.0
@@ -43,7 +43,7 @@ class Forecast:
 
     def late_chance(self, max_ms: float | None) -> float:
         """Return the probability that the time exceeds ``max_ms``. ``None`` means no limit."""
-        return 0.0 if max_ms is None else logistic_chance_over(log(max(self.figures.ms, 1e-9) / max_ms), self.time_spread)
+        return 0.0 if max_ms is None else logistic_probability_over(log(max(self.figures.ms, 1e-9) / max_ms), self.time_spread)
 
     def miss_chance(self, max_ms: float | None) -> float:
         """Return the probability that the error or the time exceeds its limit."""
@@ -57,7 +57,7 @@ def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms:
        their median time.
     2. Otherwise, if some are likely to stay within the time limit: the one with the least expected overshoot. A late candidate is
        penalized in the same way.
-    3. Otherwise, the nearest candidate according to ``skugga.selector.ranking.best``.
+    3. Otherwise, the nearest candidate according to ``skugga.selector.ranking.best_candidate``.
 
     ``none`` wins only if it is the only candidate. Raises ``ValueError`` without candidates.
     """
@@ -67,23 +67,26 @@ def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms:
         miss_ms = MISS_PENALTY * sorted(forecast.figures.ms for forecast in likely)[len(likely) // 2]
         winner = min(
             likely,
-            key=lambda forecast: (_expected(forecast.figures.ms, miss_ms, forecast.miss_chance(max_ms)), forecast.figures.name),
+            key=lambda forecast: (
+                _expected_value(forecast.figures.ms, miss_ms, forecast.miss_chance(max_ms)),
+                forecast.figures.name,
+            ),
         )
         return RankingResult(winner.figures, True, None)
     in_time = [forecast for forecast in candidates if max_ms is not None and forecast.late_chance(max_ms) <= LIKELY_MISS_CHANCE]
     if not in_time:
-        return best([forecast.figures for forecast in candidates], max_error, max_ms)
+        return best_candidate([forecast.figures for forecast in candidates], max_error, max_ms)
     over = {forecast.figures.name: relative_overshoot(forecast.figures, max_error) for forecast in in_time}
     missed = MISS_PENALTY * sorted(over.values())[len(over) // 2]
     nearest = min(
         in_time,
         key=lambda forecast: (
-            _expected(over[forecast.figures.name], missed, forecast.late_chance(max_ms)),
+            _expected_value(over[forecast.figures.name], missed, forecast.late_chance(max_ms)),
             forecast.figures.ms,
         ),
     )
-    return best([nearest.figures], max_error, max_ms)
+    return best_candidate([nearest.figures], max_error, max_ms)
 
 
-def _expected(loss: float, missed: float, chance: float) -> float:
+def _expected_value(loss: float, missed: float, chance: float) -> float:
     return (1.0 - chance) * loss + chance * missed

@@ -22,7 +22,7 @@ import numpy as np
 
 from skugga.selector.film_request import MOST_FRAMES, FilmRequest
 from skugga.selector.formatting import format_list
-from skugga.selector.replanning import PlanTransition, Replanner, casting, choices_of, mixed_pictures
+from skugga.selector.replanning import PlanTransition, Replanner, casting, choices_from_plan, mix_pictures
 from skugga.shadows.draw import draw, heights_suffice
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
@@ -109,7 +109,7 @@ class FilmFrame:
         Picture, uint8 (rows, cols, 3). Row 0 is the top row.
     plan
         Plan of the frame.
-    handover
+    transition
         The transition under way: the previous plan, and the share of the pixels that show the new one. Else ``None``.
     switch
         The change of choice that begins with this frame. Else ``None``.
@@ -118,7 +118,7 @@ class FilmFrame:
     moment: FrameMoment
     color: np.ndarray
     plan: Plan
-    handover: PlanTransition | None = None
+    transition: PlanTransition | None = None
     switch: PlanSwitch | None = None
 
 
@@ -144,10 +144,10 @@ def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FR
         try:
             view = resting if path is None else path.view_at(elapsed_s, *reversed(_size(request)))
         except InputError as error:
-            where = FrameMoment(number, elapsed_s, span.time_of(number), 0.0, None).words  # type: ignore[arg-type]
+            where = FrameMoment(number, elapsed_s, span.parse_time(number), 0.0, None).words  # type: ignore[arg-type]
             raise error.renamed(f"path, {where}: {error.name}") from None
         assert view is not None
-        moments.append(FrameMoment(number, elapsed_s, span.time_of(number), first_second + elapsed_s, view))
+        moments.append(FrameMoment(number, elapsed_s, span.parse_time(number), first_second + elapsed_s, view))
     return moments
 
 
@@ -171,12 +171,12 @@ def film_frames(
     """
     replanner = replanner or Replanner()
     if ahead == 0:
-        yield from (frame() for frame in _planned(scene, request, moments, replanner, None))
+        yield from (frame() for frame in _frame_makers(scene, request, moments, replanner, None))
         return
     with ThreadPoolExecutor(ahead, "skugga-frames") as threads:
         waiting: deque[Callable[[], FilmFrame]] = deque()
         try:
-            for number, frame in enumerate(_planned(scene, request, moments, replanner, threads)):
+            for number, frame in enumerate(_frame_makers(scene, request, moments, replanner, threads)):
                 waiting.append(frame)
                 if number == 0 or len(waiting) > ahead:  # the first frame makes what all frames share
                     yield waiting.popleft()()
@@ -186,7 +186,7 @@ def film_frames(
             threads.shutdown(cancel_futures=True)
 
 
-def _planned(
+def _frame_makers(
     scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner, threads: ThreadPoolExecutor | None
 ) -> Iterator[Callable[[], FilmFrame]]:
     """Yield a function for each frame that returns the drawn frame.
@@ -202,18 +202,18 @@ def _planned(
         if switch is not None:
             log.info("%s: %s instead of %s: %s", moment.words, switch.after, switch.before, switch.why)
         before = plan
-        if replanner.handover is not None:
-            new, left = (render_frame(now, moment.view, each) for each in (plan, replanner.handover.plan))
-            color = mixed_pictures(left.color, new.color, replanner.share(left.visibilities, new.visibilities))
-            yield partial(FilmFrame, moment, color, plan, replanner.handover, switch)
+        if replanner.transition is not None:
+            new, previous = (render_frame(now, moment.view, each) for each in (plan, replanner.transition.plan))
+            color = mix_pictures(previous.color, new.color, replanner.share(previous.visibilities, new.visibilities))
+            yield partial(FilmFrame, moment, color, plan, replanner.transition, switch)
             continue
         drawn: Callable[[], Picture] = partial(draw, now, moment.view, plan, COLOR)
         if threads is not None and moment.number > 0 and heights_suffice(now, moment.view, plan, COLOR):
             drawn = threads.submit(drawn).result
-        yield partial(_drawn, moment, drawn, plan, switch)
+        yield partial(_film_frame, moment, drawn, plan, switch)
 
 
-def _drawn(moment: FrameMoment, drawn: Callable[[], Picture], plan: Plan, switch: PlanSwitch | None) -> FilmFrame:
+def _film_frame(moment: FrameMoment, drawn: Callable[[], Picture], plan: Plan, switch: PlanSwitch | None) -> FilmFrame:
     color = drawn().color
     assert color is not None
     return FilmFrame(moment, color, plan, None, switch)
@@ -221,21 +221,21 @@ def _drawn(moment: FrameMoment, drawn: Callable[[], Picture], plan: Plan, switch
 
 def _switch(moment: FrameMoment, before: Plan, after: Plan, why: str | None) -> PlanSwitch | None:
     """Return the change between two successive plans, or ``None``. ``why`` is the replanner's reason if it took another choice."""
-    names = _chosen(before), _chosen(after)
+    names = _choice_text(before), _choice_text(after)
     if names[0] == names[1]:
         return None
-    return PlanSwitch(moment.number, *names, why or _what_casts(before, after))
+    return PlanSwitch(moment.number, *names, why or _casting_changes_text(before, after))
 
 
-def _chosen(plan: Plan) -> str:
+def _choice_text(plan: Plan) -> str:
     """Return what a plan chose, in words: the algorithms by light, and the chosen settings."""
-    names = {light: choice.name or "none" for light, choice in choices_of(plan).items()}
+    names = {light: choice.name or "none" for light, choice in choices_from_plan(plan).items()}
     if len(set(names.values())) <= 1:
         return next(iter(names.values()), "none")
     return ", ".join(f"{light}: {name}" for light, name in names.items())
 
 
-def _what_casts(before: Plan, after: Plan) -> str:
+def _casting_changes_text(before: Plan, after: Plan) -> str:
     """Describe how the casting kinds of two plans differ."""
     was, now = ({(light, kind) for light, kinds in casting(plan).items() for kind in kinds} for plan in (before, after))
     if not now:

@@ -37,7 +37,7 @@ class FilmSpan:
     start: datetime | None = None
     first_second: float | None = None
 
-    def time_of(self, number: int) -> datetime | None:
+    def parse_time(self, number: int) -> datetime | None:
         """Return the date and time of a frame."""
         return None if self.start is None else self.start + timedelta(seconds=number * self.step_s)
 

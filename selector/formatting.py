@@ -18,9 +18,9 @@ def format_duration(ms: float) -> str:
     return f"{format_two_digits(ms / 1000.0)} s" if ms >= 999.5 else f"{format_two_digits(ms)} ms"
 
 
-def format_list(names: Sequence[str], most: int = 4) -> str:
-    """Join names as ``a``, ``a and b`` or ``a, b and c``. A list of more than ``most`` names ends with ``and 5 others``."""
-    items = list(names) if len(names) <= most else [*names[: most - 1], f"{len(names) - most + 1} others"]
+def format_list(names: Sequence[str], max_items: int = 4) -> str:
+    """Join names as ``a``, ``a and b`` or ``a, b and c``. A list of more than ``max_items`` names ends with ``and 5 others``."""
+    items = list(names) if len(names) <= max_items else [*names[: max_items - 1], f"{len(names) - max_items + 1} others"]
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
 
 

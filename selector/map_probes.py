@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
-from skugga.selector.seen import Seen
+from skugga.selector.observation import Observation
 
-PROBED_FOR = {"max_error", "max_ms", "algorithm"}
+PROBE_SETTINGS = {"max_error", "max_ms", "algorithm"}
 """Shadow settings that a request may change and still use probes. Other settings change the picture."""
 
 LEAST_SUN, MOST_SUN = -5, 2
 """Classes of suns from about 2 to 70 degrees. Lower and higher suns are assigned to the nearest class."""
 
-BETWEEN_BLOCKS_ERROR, BETWEEN_BLOCKS_TIME = 0.6, 0.3
+BLOCK_ERROR_SD, BLOCK_TIME_SD = 0.6, 0.3
 """Standard deviations of the logarithms of errors and times between blocks of a level at one scale and sun.
 
 Measured by ``benchmarks/selection/blocks.py`` in 24 situations of six levels. For errors it is the limit that two thirds stay
@@ -60,37 +60,37 @@ class ProbedClass(BaseModel):
 
     scale: int
     sun: int
-    seen: Mapping[str, tuple[Seen, ...]]
+    seen: Mapping[str, tuple[Observation, ...]]
 
 
 class MapProbes(BaseModel):
-    """Observations of choices on a level's maps. An immutable value: ``with_`` returns a new one."""
+    """Observations of choices on a level's maps. An immutable value: ``merged_with`` returns a new one."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     classes: tuple[ProbedClass, ...] = ()
 
-    def of(self, wanted: MapClass | None) -> Mapping[str, tuple[Seen, ...]] | None:
+    def of(self, target: MapClass | None) -> Mapping[str, tuple[Observation, ...]] | None:
         """Return the observations in a class by light, or ``None`` if it was not probed.
 
         The noises include the differences between blocks, since the map may show another part of the level.
         """
         for each in self.classes:
-            if (each.scale, each.sun) == wanted:
-                return {light: tuple(map(_elsewhere, seen)) for light, seen in each.seen.items()}
+            if (each.scale, each.sun) == target:
+                return {light: tuple(map(_with_block_noise, seen)) for light, seen in each.seen.items()}
         return None
 
-    def with_(self, other: MapProbes) -> MapProbes:
+    def merged_with(self, other: MapProbes) -> MapProbes:
         """Return these probes combined with others, sorted by class. The other ones replace classes that both have."""
         both = {(each.scale, each.sun): each for each in (*self.classes, *other.classes)}
         return MapProbes(classes=tuple(both[key] for key in sorted(both)))
 
 
-def _elsewhere(seen: Seen) -> Seen:
+def _with_block_noise(seen: Observation) -> Observation:
     return seen.model_copy(
         update={
-            "error_noise": hypot(seen.error_noise, BETWEEN_BLOCKS_ERROR),
-            "interior_noise": hypot(seen.interior_noise, BETWEEN_BLOCKS_ERROR),
-            "ms_noise": hypot(seen.ms_noise, BETWEEN_BLOCKS_TIME),
+            "error_noise": hypot(seen.error_noise, BLOCK_ERROR_SD),
+            "interior_noise": hypot(seen.interior_noise, BLOCK_ERROR_SD),
+            "ms_noise": hypot(seen.ms_noise, BLOCK_TIME_SD),
         }
     )

@@ -6,27 +6,27 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, log
 
-from skugga.selector.belief import Belief
 from skugga.selector.choices import Choice
 from skugga.selector.cost.cost_model import predicted_ms
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import (
-    LEAST,
-    LEAST_INTERIOR,
+    ERROR_OFFSET,
+    INTERIOR_OFFSET,
     ErrorModel,
     ExpectedErrors,
-    errors_together,
+    combine_errors,
     log_error,
     log_interior,
     packaged_model,
-    wrong_of_step,
+    step_wrong_share,
 )
 from skugga.selector.cost.unmeasured import UnmeasuredError
 from skugga.selector.expected_loss import Forecast
+from skugga.selector.gaussian_estimate import GaussianEstimate
+from skugga.selector.observation import Observation
 from skugga.selector.planner.planner import Planner
 from skugga.selector.portfolio import portfolio
 from skugga.selector.ranking import CandidateFigures
-from skugga.selector.seen import Seen
 from skugga.shadows.plan import Step
 from skugga.shadows.truth.metrics import MOST_INTERIOR
 from skugga.terrain.level.algorithm_names import AlgorithmName
@@ -88,10 +88,10 @@ class LightOptions:
     """
 
     options: tuple[PredictedChoice, ...]
-    error: Belief
-    interior: Belief
-    time: Belief
-    seen: Mapping[int, Seen] = field(default_factory=dict)
+    error: GaussianEstimate
+    interior: GaussianEstimate
+    time: GaussianEstimate
+    seen: Mapping[int, Observation] = field(default_factory=dict)
     refused: frozenset[int] = frozenset()
 
     @classmethod
@@ -101,34 +101,42 @@ class LightOptions:
         families, errors, shared = [each.family for each in options], [each.errors for each in options], model.shared
         return cls(
             tuple(options),
-            Belief.prior([log_error(its.wrong_cast) for its in errors], [its.spread for its in errors], families, shared.error),
-            Belief.prior(
-                [log_interior(its.interior) for its in errors], [its.interior_spread for its in errors], families, shared.interior
+            GaussianEstimate.prior(
+                [log_error(prediction.wrong_cast) for prediction in errors],
+                [prediction.spread for prediction in errors],
+                families,
+                shared.error,
             ),
-            Belief.prior(
+            GaussianEstimate.prior(
+                [log_interior(prediction.interior) for prediction in errors],
+                [prediction.interior_spread for prediction in errors],
+                families,
+                shared.interior,
+            ),
+            GaussianEstimate.prior(
                 [log(max(each.ms, LEAST_MS)) for each in options], [model.time_spread] * len(options), families, shared.time
             ),
         )
 
-    def after(self, seen: Iterable[Seen]) -> LightOptions:
+    def after(self, seen: Iterable[Observation]) -> LightOptions:
         """Return the options after observations. The last one of each choice counts, and those of other choices are ignored."""
         numbers = {option.choice.name: number for number, option in enumerate(self.options)}
         out = self
-        for its in seen:
-            if its.choice in numbers:
-                which = numbers[its.choice]
+        for observation in seen:
+            if observation.choice in numbers:
+                which = numbers[observation.choice]
                 out = replace(
                     out,
-                    error=out.error.observed(which, log_error(its.error), its.error_noise),
-                    interior=out.interior.observed(which, log_interior(its.interior), its.interior_noise),
-                    time=out.time.observed(which, log(max(its.ms, LEAST_MS)), its.ms_noise),
-                    seen={**out.seen, which: its},
+                    error=out.error.after_observation(which, log_error(observation.error), observation.error_noise),
+                    interior=out.interior.after_observation(which, log_interior(observation.interior), observation.interior_noise),
+                    time=out.time.after_observation(which, log(max(observation.ms, LEAST_MS)), observation.ms_noise),
+                    seen={**out.seen, which: observation},
                 )
         return out
 
     def figures(self, which: int) -> CandidateFigures:
         """Return the expected time and errors of an option."""
-        error, interior = exp(self.error.mean[which]) - LEAST, exp(self.interior.mean[which]) - LEAST_INTERIOR
+        error, interior = exp(self.error.mean[which]) - ERROR_OFFSET, exp(self.interior.mean[which]) - INTERIOR_OFFSET
         return CandidateFigures(
             self.options[which].choice.name, exp(self.time.mean[which]), min(max(error, 0.0), 1.0), min(max(interior, 0.0), 1.0)
         )
@@ -143,8 +151,8 @@ class LightOptions:
 
         The limits are ``max_error`` for the error and ``MOST_INTERIOR`` for the interior error.
         """
-        error = self.error.chance_over(which, log_error(max_error))
-        inside = self.interior.chance_over(which, log_interior(MOST_INTERIOR))
+        error = self.error.probability_over(which, log_error(max_error))
+        inside = self.interior.probability_over(which, log_interior(MOST_INTERIOR))
         return max(error, inside)  # interior errors are errors, too
 
     def forecast(self, which: int, max_error: float) -> Forecast:
@@ -179,7 +187,7 @@ def predicted_choices(
     """
     descriptor, model = planner.descriptor, errors or packaged_model()
     options: dict[tuple[object, ...], PredictedChoice] = {}
-    known: dict[object, tuple[float, float]] = {}
+    predictions: dict[object, tuple[float, float]] = {}
     for choice in portfolio(descriptor, light, kinds, planner.asked):
         steps = planner.steps(light, choice)
         # Many choices share steps. A planner returns equal settings as one object, and comparing values is slow.
@@ -188,15 +196,15 @@ def predicted_choices(
             continue
         try:
             for key, step in zip(keys, steps, strict=True):
-                if key not in known:
+                if key not in predictions:
                     ms = predicted_ms(device, descriptor, light, step.kinds, step.algorithm, step.settings)
-                    known[key] = ms, wrong_of_step(descriptor, light, step, model)
+                    predictions[key] = ms, step_wrong_share(descriptor, light, step, model)
         except UnmeasuredError as error:
             if unmeasured is not None:
                 unmeasured[error.algorithm] = error.why
             continue
-        wrong = [(step, known[key][1]) for key, step in zip(keys, steps, strict=True)]
+        wrong = [(step, predictions[key][1]) for key, step in zip(keys, steps, strict=True)]
         options[keys] = PredictedChoice(
-            choice, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model)
+            choice, steps, sum(predictions[key][0] for key in keys), combine_errors(descriptor, light, wrong, model)
         )
     return list(options.values())

@@ -27,12 +27,12 @@ from skugga.selector.choices import PlanRequest
 from skugga.selector.planner.planner import SETTING_NAMES, make_plan
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import NO_SHADOWS
+from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.errors import InputError, LevelError, Problem
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.level import SUN
 from skugga.terrain.level.pin_scope import PinScope
 from skugga.terrain.level.rasters import is_level_raster
-from skugga.terrain.whole_files import write_whole
 
 POLICY_CHOSEN = ("map_size",)
 """Settings that all policies but the rules choose for each view. They are pinned even if the rules agree."""
@@ -87,20 +87,20 @@ def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[
     chosen: dict[str, Any] = {"algorithm": cast[SUN] if list(cast) == [SUN] else cast}
     automatic = make_plan(descriptor, plan_request, chosen, choices={})
     for key in SETTING_NAMES:
-        values = _values(plan, key)
-        is_chosen = values != _values(automatic, key) or (plan.policy != "rules" and key in POLICY_CHOSEN)
+        values = _setting_values(plan, key)
+        is_chosen = values != _setting_values(automatic, key) or (plan.policy != "rules" and key in POLICY_CHOSEN)
         if is_chosen and len(set(values.values())) == 1:
             chosen[key] = next(iter(values.values()))
     return chosen
 
 
-def pinned(path: Path) -> tuple[str, ...]:
+def pinned_keys(path: Path) -> tuple[str, ...]:
     """Return the keys of ``shadows`` that an earlier pin wrote into a level file. Raises ``LevelError``."""
     match = _PIN.search(_read(path))
     return _keys_of(match.group()) if match else ()
 
 
-def unpinned_values(keys: Iterable[str]) -> dict[str, Any]:
+def default_values(keys: Iterable[str]) -> dict[str, Any]:
     """Return the values of keys of ``shadows`` without a pin."""
     return {key: [] if key == PINS else "auto" for key in keys}
 
@@ -122,7 +122,7 @@ def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
             f"Write these keys by hand: {json.dumps(dict(chosen))}",
         )
     try:
-        write_whole(path, after)
+        write_atomically(path, after)
     except OSError as error:
         raise LevelError(str(path), Problem(error.strerror or str(error)), "Use a folder in which files can be written") from None
 
@@ -135,16 +135,16 @@ def pinned_text(text: str, chosen: Mapping[str, Any], why: Sequence[str]) -> str
     before = _load(text)
     earlier = _PIN.search(text)
     unpinned = _PIN.sub("", text)
-    wanted = {**unpinned_values(_keys_of(earlier.group()) if earlier else ()), **chosen}
+    new_values = {**default_values(_keys_of(earlier.group()) if earlier else ()), **chosen}
     with suppress(YAMLError, ValueError, IndexError):
-        after = _rewritten(unpinned, wanted, [*why, f"{PINNED_KEYS_COMMENT[3:]}{', '.join(chosen)}."])
-        expected = {**before, "shadows": {**before.get("shadows", {}), **wanted}}
+        after = _rewrite(unpinned, new_values, [*why, f"{PINNED_KEYS_COMMENT[3:]}{', '.join(chosen)}."])
+        expected = {**before, "shadows": {**before.get("shadows", {}), **new_values}}
         if _load(after) == expected:
             return after
     return None
 
 
-def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
+def _rewrite(text: str, new_values: Mapping[str, Any], why: Sequence[str]) -> str:
     line_end = "\r\n" if "\r\n" in text else "\n"
     root = YAML(typ="safe", pure=True).compose(text)
     shadows_pair = next(((key, value) for key, value in root.value if key.value == "shadows"), None)
@@ -152,10 +152,10 @@ def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
     head = root if root.flow_style or shadows_pair is None else shadows_pair[0]
     edits: list[Edit] = []
     if shadows_pair is None and root.flow_style:
-        edits.append(_inserted(text, root.value, {"shadows": wanted}, quoted))
+        edits.append(_insert_edit(text, root.value, {"shadows": new_values}, quoted))
     elif shadows_pair is None:
         indent = " " * root.start_mark.column
-        lines = [f"{indent}shadows:", *_lines(wanted, f"{indent}  ", line_end)]
+        lines = [f"{indent}shadows:", *_block_lines(new_values, f"{indent}  ", line_end)]
         ended = _DOCUMENT_END.search(text)
         rest = text[ended.start() :] if ended else ""
         text = text.removesuffix(rest)
@@ -163,9 +163,9 @@ def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
         return f"{text}{gap}{line_end.join([*_comment(why, indent), *lines])}{'' if gap else line_end}{rest}"
     elif _is_alias(*shadows_pair):
         start, end = _span(text, shadows_pair)
-        edits.append((start, end, _flow({**_load(text)["shadows"], **wanted}, quoted)))
+        edits.append((start, end, _flow_text({**_load(text)["shadows"], **new_values}, quoted)))
     else:
-        edits += _changes(text, shadows_pair[1], wanted, quoted, line_end)
+        edits += _mapping_edits(text, shadows_pair[1], new_values, quoted, line_end)
     start = _line_start(text, head.start_mark.index)
     indent = " " * (head.start_mark.column if head is not root else 0)
     edits.append((start, start, "".join(f"{line}{line_end}" for line in _comment(why, indent))))
@@ -174,32 +174,32 @@ def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
     return text
 
 
-def _changes(text: str, shadows: MappingNode, wanted: Mapping[str, Any], quoted: bool, line_end: str) -> list[Edit]:
+def _mapping_edits(text: str, shadows: MappingNode, new_values: Mapping[str, Any], quoted: bool, line_end: str) -> list[Edit]:
     """Return the edits that change present keys in their place and append the others."""
     pairs: dict[str, Pair] = {key.value: (key, value) for key, value in shadows.value}
     comments = _comments_in(text)
     edits: list[Edit] = []
-    for key in (key for key in pairs if key in wanted):
+    for key in (key for key in pairs if key in new_values):
         if key == PINS and not shadows.flow_style and _is_list_of_lines(pairs[key]):
-            replaced, homeless = _list_replaced(text, pairs[key], wanted[key], line_end, comments)
+            replaced, orphaned_comments = _list_edits(text, pairs[key], new_values[key], line_end, comments)
         else:
             start, end = _span(text, pairs[key])
             gap = " " if text[start - 1] == ":" else ""
-            replaced = [(start, end, f"{gap}{_flow(wanted[key], quoted)}")]
-            homeless = [comment for at, comment in comments if start <= at < end]
+            replaced = [(start, end, f"{gap}{_flow_text(new_values[key], quoted)}")]
+            orphaned_comments = [comment for at, comment in comments if start <= at < end]
         mark = (shadows if shadows.flow_style else pairs[key][0]).start_mark
         above = _line_start(text, mark.index)
         indent = text[above : mark.index] if not text[above : mark.index].strip() else ""
-        edits += [(above, above, f"{indent}{comment}{line_end}") for comment in homeless]
+        edits += [(above, above, f"{indent}{comment}{line_end}") for comment in orphaned_comments]
         edits += replaced
-    new = {key: value for key, value in wanted.items() if key not in pairs}
+    new = {key: value for key, value in new_values.items() if key not in pairs}
     if new and shadows.flow_style:
-        edits.append(_inserted(text, shadows.value, new, quoted) if shadows.value else _filled(shadows, new, quoted))
+        edits.append(_insert_edit(text, shadows.value, new, quoted) if shadows.value else _fill_edit(shadows, new, quoted))
     elif new:
         first, last = shadows.value[0][0], _span(text, shadows.value[-1])[1]
         insert_at = _line_end(text, last)
         indent = " " * first.start_mark.column
-        edits.append((insert_at, insert_at, "".join(f"{line_end}{line}" for line in _lines(new, indent, line_end))))
+        edits.append((insert_at, insert_at, "".join(f"{line_end}{line}" for line in _block_lines(new, indent, line_end))))
     return edits
 
 
@@ -211,7 +211,7 @@ def _is_list_of_lines(pair: Pair) -> bool:
     return not any(_is_alias(key, item) for item in value.value)
 
 
-def _list_replaced(
+def _list_edits(
     text: str, pair: Pair, items: Sequence[Any], line_end: str, comments: Sequence[Comment]
 ) -> tuple[list[Edit], list[str]]:
     """Return the edits that replace a list by another one, with an item a line, and the comments without a place in it.
@@ -224,26 +224,29 @@ def _list_replaced(
     colon, end_of_line = text.index(":", key.end_mark.index) + 1, _line_end(text, key.end_mark.index)
     if value.flow_style:
         behind_key: list[Edit] = [(colon, value.end_mark.index, "" if items else " []")]
-        homeless = [comment for at, comment in comments if colon <= at < value.end_mark.index]
+        orphaned_comments = [comment for at, comment in comments if colon <= at < value.end_mark.index]
         end_of_line = _line_end(text, value.end_mark.index)
-        return [*behind_key, (end_of_line, end_of_line, _block(items, indent, line_end) if items else "")], homeless
+        return [*behind_key, (end_of_line, end_of_line, _block_text(items, indent, line_end) if items else "")], orphaned_comments
     behind_key = [] if items else [(colon, colon, " []")]
     end = max(_line_end(text, _end(text, value)), end_of_line)
     old = list(zip(value.value, _load(text)["shadows"][PINS], strict=True))
-    said: dict[int, ItemComments] = {}
-    homeless = []
+    item_comments: dict[int, ItemComments] = {}
+    orphaned_comments = []
     for at, comment in comments:
         if not end_of_line <= at < end:
             continue
         node, pin_before = next((node, item) for node, item in old if at < _line_end(text, _end(text, node)))
         number = next((number for number, item in enumerate(items) if _scope(item) == _scope(pin_before)), None)
         if number is None:
-            homeless.append(comment)
+            orphaned_comments.append(comment)
             continue
-        above, behind = said.setdefault(number, ItemComments([], []))
+        above, behind = item_comments.setdefault(number, ItemComments([], []))
         is_behind = at >= _end(text, node) and _line_start(text, at) <= node.start_mark.index
         (behind if is_behind and not behind else above).append(comment)
-    return [*behind_key, (end_of_line, end, _block(items, indent, line_end, said) if items else "")], homeless
+    return [
+        *behind_key,
+        (end_of_line, end, _block_text(items, indent, line_end, item_comments) if items else ""),
+    ], orphaned_comments
 
 
 def _scope(pin_of_list: Mapping[str, Any]) -> list[Any]:
@@ -260,15 +263,15 @@ def _comments_in(text: str) -> list[Comment]:
     return comments
 
 
-def _inserted(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: bool) -> Edit:
+def _insert_edit(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: bool) -> Edit:
     insert_at = _span(text, pairs[-1])[1]
-    return insert_at, insert_at, f", {_flow(new, quoted)[1:-1]}"
+    return insert_at, insert_at, f", {_flow_text(new, quoted)[1:-1]}"
 
 
-def _filled(empty: MappingNode, new: Mapping[str, Any], quoted: bool) -> Edit:
+def _fill_edit(empty: MappingNode, new: Mapping[str, Any], quoted: bool) -> Edit:
     """Return the edit that fills an empty mapping in braces."""
     insert_at = empty.end_mark.index - 1
-    return insert_at, insert_at, _flow(new, quoted)[1:-1]
+    return insert_at, insert_at, _flow_text(new, quoted)[1:-1]
 
 
 def _span(text: str, pair: Pair) -> tuple[int, int]:
@@ -301,31 +304,31 @@ def _is_alias(key: Node, value: Node) -> bool:
     return value.start_mark.index < key.end_mark.index
 
 
-def _lines(pairs: Mapping[str, Any], indent: str, line_end: str) -> list[str]:
+def _block_lines(pairs: Mapping[str, Any], indent: str, line_end: str) -> list[str]:
     """Return keys and values of a block, each on its own line or lines."""
-    return [f"{indent}{key}:{_block(value, indent, line_end)}" for key, value in pairs.items()]
+    return [f"{indent}{key}:{_block_text(value, indent, line_end)}" for key, value in pairs.items()]
 
 
-def _block(value: Any, indent: str, line_end: str, said: Mapping[int, ItemComments] | None = None) -> str:
+def _block_text(value: Any, indent: str, line_end: str, item_comments: Mapping[int, ItemComments] | None = None) -> str:
     """Return the text behind a key and its colon.
 
     It is a list of mappings with an item a line, with comments by the item's number, or else the value on the key's own line.
     """
     if not (isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value)):
-        return f" {_flow(value, quoted=False)}"
+        return f" {_flow_text(value, quoted=False)}"
     lines: list[str] = []
     for number, item in enumerate(value):
-        above, behind = (said or {}).get(number, ItemComments([], []))
-        lines += [*above, "  ".join([f"- {_flow(item, quoted=False)}", *behind])]
+        above, behind = (item_comments or {}).get(number, ItemComments([], []))
+        lines += [*above, "  ".join([f"- {_flow_text(item, quoted=False)}", *behind])]
     return "".join(f"{line_end}{indent}  {line}" for line in lines)
 
 
-def _flow(value: Any, quoted: bool) -> str:
+def _flow_text(value: Any, quoted: bool) -> str:
     """Return a value on one line. Strings are quoted if the file quotes them, or if YAML would read them as another type."""
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_flow(item, quoted) for item in value)}]"
+        return f"[{', '.join(_flow_text(item, quoted) for item in value)}]"
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{_flow(key, quoted)}: {_flow(item, quoted)}' for key, item in value.items())}}}"
+        return f"{{{', '.join(f'{_flow_text(key, quoted)}: {_flow_text(item, quoted)}' for key, item in value.items())}}}"
     if isinstance(value, str) and not quoted and re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", value) and _load(value) == value:
         return value
     return json.dumps(value, ensure_ascii=not (isinstance(value, str) and value.isprintable()))
@@ -336,12 +339,12 @@ def _comment(why: Sequence[str], indent: str) -> list[str]:
     return [f"{indent}#: {part}" for line in lines for part in wrap(line, COMMENT_WIDTH)]
 
 
-def _values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
+def _setting_values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
     """Return the values of a setting by light and kind of casters."""
     values: dict[tuple[str, str], Any] = {}
     for light, kinds in plan.settings.items():
         for kind, settings in kinds.items():
-            if (value := settings.asked_as.get(key)) is not None:
+            if (value := settings.as_overrides.get(key)) is not None:
                 values[light, kind] = value
     return values
 

@@ -17,7 +17,7 @@ from skugga.terrain.level.level import CasterKind, Shadows
 MAX_CHOICES = 40
 """Choices for a light, at most. The last ``combinations`` are dropped first."""
 
-SHORT = {"map_size": "{}", "cascades": "x{}"}
+SHORT_FORMATS = {"map_size": "{}", "cascades": "x{}"}
 """Formats of settings in a choice's name. Other settings are written with their key."""
 
 
@@ -27,7 +27,7 @@ def combinations() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
     First comes each algorithm alone, for the kinds that it serves, then the mixes. Shadow maps draw the kinds without an entry.
     """
     by_themselves = [
-        (_alone(each), {kind: each.name for kind in get_args(CasterKind) if kind not in each.refuses})
+        (_solo_name(each), {kind: each.name for kind in get_args(CasterKind) if kind not in each.refuses})
         for each in selectable_algorithms()
     ]
     return [*by_themselves, *((mix.name, mix.algorithm) for mix in MIXES if mix.in_portfolio)]
@@ -43,39 +43,41 @@ def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind],
 
     There are at most ``MAX_CHOICES``, no two of them equivalent. All of them support the ``asked`` shadow settings.
     """
-    return list(islice(_distinct(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], asked), MAX_CHOICES))
+    return list(
+        islice(_distinct_choices(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], asked), MAX_CHOICES)
+    )
 
 
-def _alone(algorithm: Algorithm) -> str:
+def _solo_name(algorithm: Algorithm) -> str:
     """Return the name of an algorithm alone. It includes the fallback's name if the algorithm refuses meshes."""
     return f"{algorithm.name}+{FALLBACK}" if "meshes" in algorithm.refuses else algorithm.name
 
 
-def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind], asked: Shadows | None) -> Iterator[Choice]:
+def _distinct_choices(descriptor: Descriptor, light: str, kinds: list[CasterKind], asked: Shadows | None) -> Iterator[Choice]:
     yielded = set()
-    for combination, named in combinations():
-        algorithm = {kind: named.get(kind, FALLBACK) for kind in kinds}
+    for combination, named_algorithms in combinations():
+        algorithm = {kind: named_algorithms.get(kind, FALLBACK) for kind in kinds}
         if not all(can_serve(name, descriptor, light, kind, asked) for kind, name in algorithm.items()):
             continue
-        if any(ALGORITHMS[name].search.hopeless(descriptor, kind) for kind, name in algorithm.items()):
+        if any(ALGORITHMS[name].search.is_excluded(descriptor, kind) for kind, name in algorithm.items()):
             continue
         for settings in _settings(descriptor, light, [ALGORITHMS[name] for name in dict.fromkeys(algorithm.values())]):
-            words = [combination, *(SHORT.get(key, f"{key} {{}}").format(value) for key, value in settings.items())]
+            words = [combination, *(SHORT_FORMATS.get(key, f"{key} {{}}").format(value) for key, value in settings.items())]
             key = (tuple(algorithm.items()), tuple(settings.items()))
             if key not in yielded:
                 yielded.add(key)
                 yield Choice(" ".join(words), algorithm, settings)
 
 
-def _settings(descriptor: Descriptor, light: str, together: list[Algorithm]) -> Iterator[dict[str, Any]]:
+def _settings(descriptor: Descriptor, light: str, algorithms: list[Algorithm]) -> Iterator[dict[str, Any]]:
     """Yield the settings to try for algorithms that work together."""
     tuned: dict[str, tuple[Any, ...]] = {}
-    for each in together:
+    for each in algorithms:
         for key, values in each.search.tuned.items():
-            possible = [value if each.search.tunes(descriptor, light, key, value) else None for value in values]
+            possible = [value if each.search.is_tunable(descriptor, light, key, value) else None for value in values]
             tuned[key] = tuple(dict.fromkeys([*tuned.get(key, ()), *possible]))
-    beside = [each.search.map_sizes_beside for each in together if each.search.map_sizes_beside is not None]
-    if beside and "map_size" in tuned:
-        tuned = {"map_size": beside[0]}
+    companion_sizes = [each.search.companion_map_sizes for each in algorithms if each.search.companion_map_sizes is not None]
+    if companion_sizes and "map_size" in tuned:
+        tuned = {"map_size": companion_sizes[0]}
     for values in product(*tuned.values()):
         yield {key: value for key, value in zip(tuned, values, strict=True) if value is not None}

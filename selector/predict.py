@@ -14,11 +14,11 @@ from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel
 from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
 from skugga.selector.formatting import format_duration, format_percent
+from skugga.selector.observation import Observation
 from skugga.selector.options import LightOptions, predicted_choices
 from skugga.selector.planner.advice import choices_by_rules
 from skugga.selector.planner.planner import Planner, planner_of
 from skugga.selector.ranking import RankingResult
-from skugga.selector.seen import Seen
 from skugga.shadows.algorithm import Reasoned
 from skugga.shadows.plan import Plan, Predicted, Target
 from skugga.shadows.registry import ALGORITHMS
@@ -40,29 +40,32 @@ class PlanOptions:
         Options by light, for each light that casts shadows.
     unmeasured
         Reasons why algorithms are not among the options.
-    seen_as
+    observed_basis
         Word for figures of observed options.
     """
 
     planner: Planner
     lights: Mapping[str, LightOptions]
     unmeasured: Mapping[AlgorithmName, str] = field(default_factory=dict)
-    seen_as: str = "measured"
+    observed_basis: str = "measured"
 
-    def how(self, light: str, which: int) -> str:
+    def basis(self, light: str, which: int) -> str:
         """Return the word for how the figures of an option are known."""
-        return self.seen_as if which in self.lights[light].seen else "expected"
+        return self.observed_basis if which in self.lights[light].seen else "expected"
 
     @property
     def max_error(self) -> float:
         return self.planner.asked.max_error
 
-    def shares_ms(self) -> dict[str, float | None]:
+    def time_limits_ms(self) -> dict[str, float | None]:
         """Return the part of the time limit for each light, in proportion to its time without a limit."""
         max_ms = self.planner.asked.max_ms
         if max_ms is None:
             return dict.fromkeys(self.lights)
-        needed = {light: least_expected_loss(its.forecasts(self.max_error), self.max_error) for light, its in self.lights.items()}
+        needed = {
+            light: least_expected_loss(light_options.forecasts(self.max_error), self.max_error)
+            for light, light_options in self.lights.items()
+        }
         needed_ms = max(sum(verdict.winner.ms for verdict in needed.values()), 1e-9)
         return {light: max_ms * verdict.winner.ms / needed_ms for light, verdict in needed.items()}
 
@@ -73,7 +76,7 @@ def predicted_plan(
     overrides: dict[str, Any] | None,
     device: DeviceProfile,
     errors: ErrorModel | None = None,
-    seen: Mapping[str, Sequence[Seen]] | None = None,
+    seen: Mapping[str, Sequence[Observation]] | None = None,
 ) -> Plan:
     """Return the plan of the choices with the least expected loss (``skugga.selector.expected_loss``).
 
@@ -104,30 +107,35 @@ def predicted_plan(
     """
     expected = plan_options(planner_of(descriptor, plan_request, overrides), device, errors)
     if not seen:
-        return plan_of(expected, "predict")
-    corrected = {light: its.after(seen.get(light, ())) for light, its in expected.lights.items()}
-    options = replace(expected, lights=corrected, seen_as="probed")
-    return plan_of(options, "predict", _changed(expected, options))
+        return plan_from_options(expected, "predict")
+    corrected = {light: light_options.after(seen.get(light, ())) for light, light_options in expected.lights.items()}
+    options = replace(expected, lights=corrected, observed_basis="probed")
+    return plan_from_options(options, "predict", _observation_reasons(expected, options))
 
 
-def _changed(before: PlanOptions, after: PlanOptions) -> list[Reasoned]:
+def _observation_reasons(before: PlanOptions, after: PlanOptions) -> list[Reasoned]:
     """Return the observations of choices, and the change that they made."""
     reasons: list[Reasoned] = []
-    if not all(its.numbers for its in after.lights.values()):
+    if not all(light_options.numbers for light_options in after.lights.values()):
         return reasons
-    for light, its in after.lights.items():
-        if not its.seen:
+    for light, light_options in after.lights.items():
+        if not light_options.seen:
             continue
-        shown = [f"{each.choice} {format_percent(each.error)} wrong in {format_duration(each.ms)}" for each in its.seen.values()]
-        was, now = (options.lights[light].options[_winner(options, light)].choice.name for options in (before, after))
+        shown = [
+            f"{each.choice} {format_percent(each.error)} wrong in {format_duration(each.ms)}"
+            for each in light_options.seen.values()
+        ]
+        was, now = (options.lights[light].options[_winner_number(options, light)].choice.name for options in (before, after))
         verdict = f"the choice remains {now}" if was == now else f"the choice is {now} instead of {was}"
         reasons.append(Reasoned(name=f"{light}: probe", reason=f"maps like this one were probed: {', '.join(shown)}; {verdict}"))
     return reasons
 
 
-def _winner(options: PlanOptions, light: str) -> int:
-    its, max_error = options.lights[light], options.max_error
-    return its.number(least_expected_loss(its.forecasts(max_error), max_error, options.shares_ms()[light]).winner.name)
+def _winner_number(options: PlanOptions, light: str) -> int:
+    light_options, max_error = options.lights[light], options.max_error
+    return light_options.number(
+        least_expected_loss(light_options.forecasts(max_error), max_error, options.time_limits_ms()[light]).winner.name
+    )
 
 
 def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | None = None) -> PlanOptions:
@@ -141,36 +149,36 @@ def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | N
     return PlanOptions(planner, lights, unmeasured)
 
 
-def plan_of(options: PlanOptions, policy: PolicyName, reasons: Sequence[Reasoned] = ()) -> Plan:
+def plan_from_options(options: PlanOptions, policy: PolicyName, reasons: Sequence[Reasoned] = ()) -> Plan:
     """Return the plan of the best options, with the reasons for them. ``reasons`` are further reasons of the plan."""
     planner, max_error = options.planner, options.max_error
-    if not all(its.numbers for its in options.lights.values()):
-        return _by_rules(options)
+    if not all(light_options.numbers for light_options in options.lights.values()):
+        return _rules_plan(options)
     verdicts = {
         light: least_expected_loss(options.lights[light].forecasts(max_error), max_error, share_ms)
-        for light, share_ms in options.shares_ms().items()
+        for light, share_ms in options.time_limits_ms().items()
     }
     winners = {light: options.lights[light].number(verdict.winner.name) for light, verdict in verdicts.items()}
-    choices = {light: _with_words(options, light, which, verdicts[light]) for light, which in winners.items()}
-    plan = planner.plan(choices, dict(options.unmeasured) | _rejected(options, winners))
-    taken = [(options.lights[light], which) for light, which in winners.items()]
+    choices = {light: _with_reasons(options, light, which, verdicts[light]) for light, which in winners.items()}
+    plan = planner.plan(choices, dict(options.unmeasured) | _rejection_reasons(options, winners))
+    winning_options = [(options.lights[light], which) for light, which in winners.items()]
     return plan.model_copy(
         update={
             "policy": policy,
             "predicted": Predicted(
-                ms=sum(its.figures(which).ms for its, which in taken),
-                wrong=max((its.wrong(which) for its, which in taken), default=0.0),
-                wrong_cast=max((its.figures(which).error for its, which in taken), default=0.0),
+                ms=sum(light_options.figures(which).ms for light_options, which in winning_options),
+                wrong=max((light_options.wrong(which) for light_options, which in winning_options), default=0.0),
+                wrong_cast=max((light_options.figures(which).error for light_options, which in winning_options), default=0.0),
             ),
             "target": Target(
                 max_error=max_error, max_ms=planner.asked.max_ms, met=all(verdict.met for verdict in verdicts.values())
             ),
-            "reasons": [*_missed(options, winners, verdicts), *plan.reasons, *reasons],
+            "reasons": [*_missed_reasons(options, winners, verdicts), *plan.reasons, *reasons],
         }
     )
 
 
-def _by_rules(options: PlanOptions) -> Plan:
+def _rules_plan(options: PlanOptions) -> Plan:
     """Return the plan of the rules, for a view with a light whose options are all unmeasured."""
     planner = options.planner
     plan = planner.plan(choices_by_rules(planner.descriptor, planner.asked, planner.lights), options.unmeasured)
@@ -178,72 +186,68 @@ def _by_rules(options: PlanOptions) -> Plan:
     return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=f"{NOT_PREDICTED}: {why}")]})
 
 
-def _with_words(options: PlanOptions, light: str, which: int, verdict: RankingResult) -> Choice:
+def _with_reasons(options: PlanOptions, light: str, which: int, verdict: RankingResult) -> Choice:
     """Return the choice with the reasons for it."""
-    its, max_error = options.lights[light], options.max_error
-    winner, figures = its.options[which], its.figures(which)
+    light_options, max_error = options.lights[light], options.max_error
+    winner, figures = light_options.options[which], light_options.figures(which)
     expectation = (
-        f"{options.how(light, which)}: {format_percent(figures.error)} of the cast shadow wrong in {format_duration(figures.ms)}"
+        f"{options.basis(light, which)}: {format_percent(figures.error)} of the cast shadow wrong in {format_duration(figures.ms)}"
     )
     settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
     if not verdict.met:
         why = f"{expectation}; no choice is expected to meet the target, and this one comes nearest"
     else:
-        why = f"{expectation}, {_chance(its, which, max_error)}; "
-        others = [number for number in its.numbers if its.options[number].algorithms != winner.algorithms]
-        likely = [number for number in others if its.miss_chance(number, max_error) <= LIKELY_MISS_CHANCE]
-        beside = min(likely, key=lambda number: its.figures(number).ms, default=None)
-        if beside is None:
-            why += f"no other choice is expected to stay within {_limit(max_error)}"
-        elif (ms := its.figures(beside).ms) >= figures.ms:
-            why += (
-                f"the fastest other choice within {_limit(max_error)} is {its.options[beside].choice.name}, {format_duration(ms)}"
-            )
+        why = f"{expectation}, {_chance_text(light_options, which, max_error)}; "
+        others = [number for number in light_options.numbers if light_options.options[number].algorithms != winner.algorithms]
+        likely = [number for number in others if light_options.miss_chance(number, max_error) <= LIKELY_MISS_CHANCE]
+        fastest_other = min(likely, key=lambda number: light_options.figures(number).ms, default=None)
+        if fastest_other is None:
+            why += f"no other choice is expected to stay within {_limit_text(max_error)}"
+        elif (ms := light_options.figures(fastest_other).ms) >= figures.ms:
+            why += f"the fastest other choice within {_limit_text(max_error)} is {light_options.options[fastest_other].choice.name}, {format_duration(ms)}"
         else:
-            why += f"{its.options[beside].choice.name} would take {format_duration(ms)} {_chance(its, beside, max_error)}"
+            why += f"{light_options.options[fastest_other].choice.name} would take {format_duration(ms)} {_chance_text(light_options, fastest_other, max_error)}"
     sizes = f"chosen for the target ({settings})"
     kinds = options.planner.casting(light)
     return replace(winner.choice, why={**dict.fromkeys(kinds, why), **dict.fromkeys(winner.choice.settings, sizes)})
 
 
-def _chance(its: LightOptions, which: int, max_error: float) -> str:
-    chance = its.miss_chance(which, max_error)
-    return (
-        f"with {'less than a 1 %' if chance < 0.01 else f'a {format_percent(chance)}'} chance of an error over {_limit(max_error)}"
-    )
+def _chance_text(light_options: LightOptions, which: int, max_error: float) -> str:
+    chance = light_options.miss_chance(which, max_error)
+    return f"with {'less than a 1 %' if chance < 0.01 else f'a {format_percent(chance)}'} chance of an error over {_limit_text(max_error)}"
 
 
-def _limit(max_error: float) -> str:
+def _limit_text(max_error: float) -> str:
     return f"{100.0 * max_error:g} %"
 
 
-def _rejected(options: PlanOptions, winners: Mapping[str, int]) -> dict[AlgorithmName, str]:
+def _rejection_reasons(options: PlanOptions, winners: Mapping[str, int]) -> dict[AlgorithmName, str]:
     """Return why algorithms that could serve are not used: the best expected or observed result of each."""
     reasons: dict[AlgorithmName, str] = {}
     max_error = options.max_error
     for name in ALGORITHMS:
-        for light, its in options.lights.items():
-            numbers = [number for number in its.numbers if name in its.options[number].algorithms]
-            if not numbers or name in its.options[winners[light]].algorithms:
+        for light, light_options in options.lights.items():
+            numbers = [number for number in light_options.numbers if name in light_options.options[number].algorithms]
+            if not numbers or name in light_options.options[winners[light]].algorithms:
                 continue
-            verdict = least_expected_loss([its.forecast(number, max_error) for number in numbers], max_error)
-            nearest = its.number(verdict.winner.name)
-            how = options.how(light, nearest)
+            verdict = least_expected_loss([light_options.forecast(number, max_error) for number in numbers], max_error)
+            nearest = light_options.number(verdict.winner.name)
+            basis = options.basis(light, nearest)
             if verdict.met:
                 reasons[name] = (
-                    f"{how}: {format_duration(verdict.winner.ms)} with {verdict.winner.name}, {_chance(its, nearest, max_error)}; "
-                    f"the choice takes {format_duration(its.figures(winners[light]).ms)}"
+                    f"{basis}: {format_duration(verdict.winner.ms)} with {verdict.winner.name}, {_chance_text(light_options, nearest, max_error)}; "
+                    f"the choice takes {format_duration(light_options.figures(winners[light]).ms)}"
                 )
             else:
-                reasons[name] = f"{how} at best: {verdict.missed_by}"
+                reasons[name] = f"{basis} at best: {verdict.missed_by}"
     return reasons
 
 
-def _missed(options: PlanOptions, winners: Mapping[str, int], verdicts: Mapping[str, RankingResult]) -> list[Reasoned]:
+def _missed_reasons(options: PlanOptions, winners: Mapping[str, int], verdicts: Mapping[str, RankingResult]) -> list[Reasoned]:
     return [
         Reasoned(
             name=f"{light}: target missed",
-            reason=f"{options.how(light, winners[light])}: {verdict.missed_by}",
+            reason=f"{options.basis(light, winners[light])}: {verdict.missed_by}",
         )
         for light, verdict in verdicts.items()
         if not verdict.met

@@ -54,7 +54,7 @@ class RankingResult:
     missed_by: str | None
 
 
-def best(
+def best_candidate(
     candidates: Sequence[CandidateFigures], max_error: float, max_ms: float | None = None, tie_ratio: float = TIME_TIE_RATIO
 ) -> RankingResult:
     """Return the best candidate for a target.
@@ -74,14 +74,14 @@ def best(
     in_time = [figures for figures in capable if max_ms is None or figures.ms <= max_ms]
     accurate = [figures for figures in in_time if figures.error <= max_error and figures.interior <= MOST_INTERIOR]
     if accurate:
-        least_ms = min(figures.ms for figures in accurate)
+        min_ms = min(figures.ms for figures in accurate)
         return RankingResult(
-            min((figures for figures in accurate if figures.ms <= tie_ratio * least_ms), key=_accuracy), True, None
+            min((figures for figures in accurate if figures.ms <= tie_ratio * min_ms), key=_accuracy_key), True, None
         )
     if max_ms is not None and in_time:
-        winner = min(in_time, key=lambda figures: (_clean(figures, max_error), *_accuracy(figures)))
+        winner = min(in_time, key=lambda figures: (_interior_rank(figures, max_error), *_accuracy_key(figures)))
     else:
-        winner = min(capable, key=lambda figures: (relative_overshoot(figures, max_error, max_ms), *_accuracy(figures)))
+        winner = min(capable, key=lambda figures: (relative_overshoot(figures, max_error, max_ms), *_accuracy_key(figures)))
     return RankingResult(winner, False, _missed_by(winner, max_error, max_ms))
 
 
@@ -98,12 +98,12 @@ def relative_overshoot(figures: CandidateFigures, max_error: float, max_ms: floa
     )
 
 
-def _clean(figures: CandidateFigures, max_error: float) -> float:
+def _interior_rank(figures: CandidateFigures, max_error: float) -> float:
     """Return 0 without an interior failure, else the relative overshoot."""
     return 0.0 if figures.interior <= MOST_INTERIOR else relative_overshoot(figures, max_error)
 
 
-def _accuracy(figures: CandidateFigures) -> tuple[float, float, float, str]:
+def _accuracy_key(figures: CandidateFigures) -> tuple[float, float, float, str]:
     return figures.error, figures.interior, figures.ms, figures.name
 
 

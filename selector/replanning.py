@@ -5,14 +5,14 @@ Algorithms, map sizes and numbers of cascades are kept while they serve. A new c
 
 - at once, if the previous one cannot serve: a kind of casters without an algorithm casts shadows, the request or the kind of view
   changes, another pin of the level applies, or an algorithm refuses the view. The same holds if the target is missed by more than
-  ``IMMEDIATE_SWITCH``;
+  ``IMMEDIATE_SWITCH_OVERSHOOT``;
 - after ``PATIENCE`` plans in a row that are better by a margin: ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the
   target. The way back takes the same margin, so that a camera at a border does not flip between two choices. Because expectations
   are uncertain, each further switch takes twice the patience, until other kinds of casters cast shadows.
 
 Two plans with an error of a few per cent of the cast shadow differ in up to some per cent of the pixels. Most of these lie on
 edges, where errors do not count. So the previous plan is drawn in parallel, for as many frames as are needed to keep each frame's
-change below ``MOST_CHANGED``, and ``mixed_pictures`` mixes the two pictures. The expected number of frames is far too low;
+change below ``MOST_CHANGED``, and ``mix_pictures`` mixes the two pictures. The expected number of frames is far too low;
 ``Replanner.share`` derives the real one from the two pictures.
 """
 
@@ -50,13 +50,13 @@ SWITCH_ERROR_GAIN = 0.1
 PATIENCE = 5
 """Better plans in a row that a switch takes."""
 
-IMMEDIATE_SWITCH = 0.5
+IMMEDIATE_SWITCH_OVERSHOOT = 0.5
 """Overshoot, as a share of the target, that leads to an immediate switch."""
 
 MOST_CHANGED = 0.002
 """Share of the pixels, at most, that a switch changes from one frame to the next."""
 
-SHORTEST, LONGEST = 2, 30
+MIN_TRANSITION_FRAMES, MAX_TRANSITION_FRAMES = 2, 30
 """Limits of the expected number of frames of a switch. The first frame has both pictures, which give the real number."""
 
 PlanFunction = Callable[[Descriptor, PlanRequest, dict[str, Any] | None], Plan]
@@ -93,15 +93,15 @@ class PlanState:
         The request: it must not change while choices are kept.
     patience
         Better plans in a row that the next switch takes.
-    better_for
+    better_count
         Better plans in a row so far.
-    left
+    previous_choices
         The previous choices by light, during a switch.
-    shown
+    previous_share
         Share of the pixels that showed the new choices in the frame before.
     step
         Growth of this share with the next frame.
-    handover
+    transition
         The switch under way, or ``None``.
     why
         Why this plan has other choices than the one before, or ``None``.
@@ -111,11 +111,11 @@ class PlanState:
     choices: Mapping[str, Choice]
     asked: tuple[object, ...]
     patience: int
-    better_for: int = 0
-    left: Mapping[str, Choice] | None = None
-    shown: float = 0.0
+    better_count: int = 0
+    previous_choices: Mapping[str, Choice] | None = None
+    previous_share: float = 0.0
     step: float = 0.0
-    handover: PlanTransition | None = None
+    transition: PlanTransition | None = None
     why: str | None = None
 
 
@@ -143,17 +143,17 @@ class Replanner:
         state: PlanState | None = None,
     ) -> None:
         self._plans: PlanFunction = plans or partial(select, policy=policy, device=device)
-        self._standing = state
+        self._state = state
 
     @property
     def state(self) -> PlanState | None:
         """The state after the last plan."""
-        return self._standing
+        return self._state
 
     def plan(self, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Plan:
         """Return the next frame's plan. Raises the errors of ``skugga.selector.select.select``."""
-        self._standing = next_state(self._standing, descriptor, plan_request, overrides, self._plans)
-        return self._standing.plan
+        self._state = next_state(self._state, descriptor, plan_request, overrides, self._plans)
+        return self._state.plan
 
     def share(self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]) -> float:
         """Return the share of the pixels that show the new plan in this frame of a switch.
@@ -162,22 +162,22 @@ class Replanner:
         With this share no frame changes more than ``MOST_CHANGED`` of the surface's pixels. The switch ends after a share of 1.
         Call this once a frame. Returns 1 without a switch.
         """
-        state = self._standing
-        if state is None or state.handover is None:
+        state = self._state
+        if state is None or state.transition is None:
             return 1.0
-        share = next_share(before, after, state.shown)
-        self._standing = replace(state, step=0.0, handover=replace(state.handover, share=share))
+        share = next_share(before, after, state.previous_share)
+        self._state = replace(state, step=0.0, transition=replace(state.transition, share=share))
         return share
 
     @property
-    def handover(self) -> PlanTransition | None:
+    def transition(self) -> PlanTransition | None:
         """The switch of the last plan, or ``None``."""
-        return None if self._standing is None else self._standing.handover
+        return None if self._state is None else self._state.transition
 
     @property
     def why(self) -> str | None:
         """Why the last plan has other choices than the one before, or ``None``."""
-        return None if self._standing is None else self._standing.why
+        return None if self._state is None else self._state.why
 
 
 def next_state(
@@ -189,59 +189,63 @@ def next_state(
 ) -> PlanState:
     """Return the state after the next plan."""
     fresh = plans(descriptor, plan_request, overrides)
-    pin = plan_request.shadows.pin_for(descriptor.view, descriptor.sun_altitude_deg)
+    pin = plan_request.shadows.pin_number(descriptor.view, descriptor.sun_altitude_deg)
     request = (descriptor.view_kind, plan_request.shadows, pin, plan_request.effects, overrides or {})
-    choices = choices_of(fresh)
+    choices = choices_from_plan(fresh)
     fresh = fresh.model_copy(update={"settings": make_plan(descriptor, plan_request, overrides, choices).settings})
-    next_standing = PlanState(fresh, choices, request, PATIENCE)
+    new_state = PlanState(fresh, choices, request, PATIENCE)
     if state is None:
-        return next_standing
+        return new_state
     if state.asked != request:
-        return replace(next_standing, why="the request changed, or another pin of the level applies")
+        return replace(new_state, why="the request changed, or another pin of the level applies")
     state = replace(state, why=None)
     try:
         kept = make_plan(descriptor, plan_request, overrides, state.choices)
-        same_choices = _choices(choices_of(kept)) == _choices(choices)
-        kept = fresh if same_choices else _judged(kept, descriptor, plan_request, overrides, plans)
+        same_choices = _comparable_choices(choices_from_plan(kept)) == _comparable_choices(choices)
+        kept = fresh if same_choices else _with_prediction(kept, descriptor, plan_request, overrides, plans)
     except UnsupportedError as error:
-        return replace(next_standing, why=f"the previous choice cannot draw this view: {error.allowed}")
+        return replace(new_state, why=f"the previous choice cannot draw this view: {error.allowed}")
     state = replace(state, plan=kept)
-    if state.handover is not None and state.left is not None:
-        return _going_on(state, state.handover, state.left, descriptor, plan_request, overrides)
+    if state.transition is not None and state.previous_choices is not None:
+        return _continue_transition(state, state.transition, state.previous_choices, descriptor, plan_request, overrides)
     if same_choices:
-        return replace(state, choices=_joined(state.choices, choices), better_for=0)
+        return replace(state, choices=_merge_choices(state.choices, choices), better_count=0)
     cast = {(light, kind) for light, kinds in casting(fresh).items() for kind in kinds}
-    unpicked = cast - {(light, kind) for light, choice in state.choices.items() for kind in choice.algorithm}
-    if not unpicked and not is_better(fresh, kept):
-        return replace(state, better_for=0)
-    if not unpicked and state.better_for + 1 < state.patience and _miss(kept) - _miss(fresh) <= IMMEDIATE_SWITCH:
-        return replace(state, better_for=state.better_for + 1)
-    next_standing = replace(next_standing, why=_why(fresh, kept, unpicked, state.better_for + 1))
-    next_standing = next_standing if unpicked else replace(next_standing, patience=2 * state.patience)
-    if unpicked == cast:  # none of it was drawn before, so no transition is needed
-        return next_standing
-    step = 1.0 / max(transition_frames(kept, fresh), SHORTEST)
-    return replace(next_standing, left=state.choices, step=step, handover=PlanTransition(kept, step))
+    without_choice = cast - {(light, kind) for light, choice in state.choices.items() for kind in choice.algorithm}
+    if not without_choice and not is_better(fresh, kept):
+        return replace(state, better_count=0)
+    if (
+        not without_choice
+        and state.better_count + 1 < state.patience
+        and _overshoot(kept) - _overshoot(fresh) <= IMMEDIATE_SWITCH_OVERSHOOT
+    ):
+        return replace(state, better_count=state.better_count + 1)
+    new_state = replace(new_state, why=_switch_reason(fresh, kept, without_choice, state.better_count + 1))
+    new_state = new_state if without_choice else replace(new_state, patience=2 * state.patience)
+    if without_choice == cast:  # none of it was drawn before, so no transition is needed
+        return new_state
+    step = 1.0 / max(expected_transition_frames(kept, fresh), MIN_TRANSITION_FRAMES)
+    return replace(new_state, previous_choices=state.choices, step=step, transition=PlanTransition(kept, step))
 
 
-def _going_on(
+def _continue_transition(
     state: PlanState,
-    handover: PlanTransition,
-    left: Mapping[str, Choice],
+    transition: PlanTransition,
+    previous_choices: Mapping[str, Choice],
     descriptor: Descriptor,
     plan_request: PlanRequest,
     overrides: dict[str, Any] | None,
 ) -> PlanState:
     """Return the state in the next frame of a switch, or at its end."""
-    ended = replace(state, left=None, handover=None)
-    share = handover.share + state.step
+    ended = replace(state, previous_choices=None, transition=None)
+    share = transition.share + state.step
     if share > 1.0 - 1e-9:
         return ended
     try:
-        plan = make_plan(descriptor, plan_request, overrides, left)
+        plan = make_plan(descriptor, plan_request, overrides, previous_choices)
     except UnsupportedError:  # the previous choices cannot draw this view
         return ended
-    return replace(state, shown=handover.share, handover=PlanTransition(plan, share))
+    return replace(state, previous_share=transition.share, transition=PlanTransition(plan, share))
 
 
 def is_better(fresh: Plan, kept: Plan) -> bool:
@@ -251,15 +255,15 @@ def is_better(fresh: Plan, kept: Plan) -> bool:
     """
     if fresh.predicted is None or kept.predicted is None:
         return True
-    if _miss(kept) > _miss(fresh):
-        return _miss(kept) - _miss(fresh) > SWITCH_ERROR_GAIN
-    return _miss(kept) == _miss(fresh) and fresh.predicted.ms < (1.0 - SWITCH_TIME_GAIN) * kept.predicted.ms
+    if _overshoot(kept) > _overshoot(fresh):
+        return _overshoot(kept) - _overshoot(fresh) > SWITCH_ERROR_GAIN
+    return _overshoot(kept) == _overshoot(fresh) and fresh.predicted.ms < (1.0 - SWITCH_TIME_GAIN) * kept.predicted.ms
 
 
-def _why(fresh: Plan, kept: Plan, unpicked: set[tuple[str, CasterKind]], plans_in_a_row: int) -> str:
+def _switch_reason(fresh: Plan, kept: Plan, without_choice: set[tuple[str, CasterKind]], plans_in_a_row: int) -> str:
     """Return the reason for a plan that replaces the kept one."""
-    if unpicked:
-        return f"no algorithm was chosen yet for shadows of {format_list(sorted({kind for _, kind in unpicked}))}"
+    if without_choice:
+        return f"no algorithm was chosen yet for shadows of {format_list(sorted({kind for _, kind in without_choice}))}"
     if fresh.predicted is None or kept.predicted is None:
         return f"chosen by the rules for {plans_in_a_row} frames in a row"
     expected = [
@@ -270,14 +274,14 @@ def _why(fresh: Plan, kept: Plan, unpicked: set[tuple[str, CasterKind]], plans_i
     return f"expected {expected[0]} instead of {expected[1]}, for {plans_in_a_row} frames in a row"
 
 
-def transition_frames(kept: Plan, fresh: Plan) -> int:
+def expected_transition_frames(kept: Plan, fresh: Plan) -> int:
     """Return the expected number of frames of a switch.
 
     Pixels that differ between two plans are wrong in one of them. Pixels on edges differ, too, without counting as wrong; their
     number is unknown.
     """
     predicted = [plan.predicted.wrong if plan.predicted else plan.target.max_error for plan in (kept, fresh)]
-    return int(np.clip(np.ceil(sum(predicted) / MOST_CHANGED), 1, LONGEST))
+    return int(np.clip(np.ceil(sum(predicted) / MOST_CHANGED), 1, MAX_TRANSITION_FRAMES))
 
 
 def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], last_share: float) -> float:
@@ -289,23 +293,23 @@ def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]
     """
     differ = np.logical_or.reduce([(before[light] < 0.5) != (after[light] < 0.5) for light in after])
     there = np.logical_or.reduce([~np.isnan(visibility) for visibility in after.values()])
-    order = _order(*differ.shape)
+    order = _pixel_order(*differ.shape)
     waiting = np.sort(order[differ & (order >= last_share)])
     most = max(int(MOST_CHANGED * there.sum()), 1)
     return float(waiting[most]) if most < len(waiting) else 1.0
 
 
-def mixed_pictures(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
+def mix_pictures(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
     """Mix two pictures (rows, cols, ...) of one view: an evenly spread ``share`` of the pixels shows ``after``.
 
     A growing share adds pixels and removes none. Pixels are ordered by the R2 sequence (M. Roberts, The Unreasonable Effectiveness
     of Quasirandom Sequences, 2018).
     """
-    order = _order(*before.shape[:2])
+    order = _pixel_order(*before.shape[:2])
     return np.where((order < share).reshape(*order.shape, *(1,) * (before.ndim - 2)), after, before)
 
 
-def _order(rows: int, cols: int) -> np.ndarray:
+def _pixel_order(rows: int, cols: int) -> np.ndarray:
     """Return the share from which on each pixel shows the new picture, (rows, cols) in [0, 1)."""
     row, col = np.ogrid[:rows, :cols]
     return (row / 1.32471795724474602596 + col / 1.32471795724474602596**2) % 1.0
@@ -316,7 +320,7 @@ def casting(plan: Plan) -> dict[str, frozenset[CasterKind]]:
     return {light: frozenset(kind for kind, name in kinds.items() if name != NO_SHADOWS) for light, kinds in plan.algorithm.items()}
 
 
-def choices_of(plan: Plan) -> dict[str, Choice]:
+def choices_from_plan(plan: Plan) -> dict[str, Choice]:
     """Return a plan's choices by light: algorithms, map size and number of cascades, where one number holds for all kinds.
 
     Other settings may differ when they are resolved again from these choices: for example the ends of cascades, if their number was
@@ -325,7 +329,7 @@ def choices_of(plan: Plan) -> dict[str, Choice]:
     choices = {}
     for light, per_kind in plan.algorithm.items():
         algorithm = {kind: name for kind, name in per_kind.items() if name != NO_SHADOWS}
-        resolved = [settings.asked_as for settings in plan.settings.get(light, {}).values()]
+        resolved = [settings.as_overrides for settings in plan.settings.get(light, {}).values()]
         found = {key: {asked[key] for asked in resolved if key in asked} for key in tuned_settings()}
         settings = {key: values.pop() for key, values in found.items() if len(values) == 1}
         words = [*dict.fromkeys(algorithm.values()), *map(str, settings.values())]
@@ -334,17 +338,17 @@ def choices_of(plan: Plan) -> dict[str, Choice]:
     return choices
 
 
-def _judged(
+def _with_prediction(
     kept: Plan, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction
 ) -> Plan:
     """Return the kept plan with the policy's predictions of it."""
-    judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_of(kept))})
+    judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_from_plan(kept))})
     reasons = [*kept.reasons, *(reasoned for reasoned in judged.reasons if reasoned.name.startswith("target"))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
     return kept.model_copy(update=expected)
 
 
-def _joined(choices: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[str, Choice]:
+def _merge_choices(choices: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[str, Choice]:
     """Return choices that agree on the present casters, joined. A kind that casts no longer keeps its choice."""
     before = {light: choices.get(light, choice) for light, choice in more.items()}
     return {
@@ -367,11 +371,11 @@ def _as_overrides(choices: Mapping[str, Choice]) -> dict[str, Any]:
     return out
 
 
-def _choices(choices: Mapping[str, Choice]) -> dict[str, tuple[dict[CasterKind, AlgorithmName], dict[str, Any]]]:
+def _comparable_choices(choices: Mapping[str, Choice]) -> dict[str, tuple[dict[CasterKind, AlgorithmName], dict[str, Any]]]:
     return {light: (dict(choice.algorithm), dict(choice.settings)) for light, choice in choices.items()}
 
 
-def _miss(plan: Plan) -> float:
+def _overshoot(plan: Plan) -> float:
     """Return the relative overshoot of a plan's expected error and time.
 
     A miss by interior errors, which are not predicted, counts a little.

@@ -18,7 +18,7 @@ from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
-    from skugga.selector.seen import Seen
+    from skugga.selector.observation import Observation
 
 UNCALIBRATED = "this device is not calibrated, so fixed rules choose (to get predictions, run skugga calibrate)"
 
@@ -29,7 +29,7 @@ def select(
     overrides: dict[str, Any] | None = None,
     policy: PolicyName = "predict",
     device: DeviceProfile | None = None,
-    seen: Mapping[str, Sequence[Seen]] | None = None,
+    seen: Mapping[str, Sequence[Observation]] | None = None,
 ) -> Plan:
     """Return the plan of a view by the policy ``rules`` or ``predict``.
 
@@ -59,7 +59,7 @@ def plan_of_view(
     policy: PolicyName = "predict",
     device: DeviceProfile | None = None,
     budget_s: float | None = None,
-    seen: Mapping[str, Sequence[Seen]] | None = None,
+    seen: Mapping[str, Sequence[Observation]] | None = None,
 ) -> Plan:
     """Return the plan of a scene's view by any policy.
 

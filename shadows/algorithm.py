@@ -39,7 +39,7 @@ ExtentKind = Literal["area light"]
 Requirement = ViewKind | LightKind | CasterKind | GroundKind | RayKind | ExtentKind
 """One requirement of an algorithm: a kind of view, light, casters, ground or rays, or the extent of a light."""
 
-FALLS_BACK_FOR: Requirement = "bent rays"
+FALLBACK_REQUIREMENT: Requirement = "bent rays"
 """The requirement for which an algorithm that is requested by name falls back to ``shadow_map`` without an error.
 
 The requirement depends on the zoom, and a level that requests a sweep has all zooms.
@@ -48,7 +48,7 @@ The requirement depends on the zoom, and a level that requests a sweep has all z
 MOST_BEND_PX = 0.25
 """Upper bound, in pixels, of the distance between a map and the camera views of its parts, for algorithms that draw in the view."""
 
-DRAWS_IN_THE_VIEW = "the map bends: at this scale no affine camera fits it to a quarter of a pixel"
+BENT_MAP_REASON = "the map bends: at this scale no affine camera fits it to a quarter of a pixel"
 """The reason with which such an algorithm refuses a ``bent map``."""
 
 
@@ -125,7 +125,7 @@ class AlgorithmSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     @property
-    def asked_as(self) -> dict[str, Any]:
+    def as_overrides(self) -> dict[str, Any]:
         """The settings as keys and values of a level's ``shadows``; fields that are no such keys are left out."""
         return {key: getattr(self, key) for key in Shadows.model_fields if hasattr(self, key)}
 
@@ -166,36 +166,36 @@ class SettingsRequest:
         The name of the light.
     shadows
         The shadow settings that level and request ask for.
-    sharp_because
+    hard_edges_reason
         The reason why the sun's shadows need hard edges; ``None`` if they do not.
     """
 
     descriptor: Descriptor
     light: str
     shadows: Shadows
-    sharp_because: str | None = None
+    hard_edges_reason: str | None = None
 
     @property
-    def sharpened(self) -> Shadows:
+    def effective_shadows(self) -> Shadows:
         """The requested shadow settings, with one tap if the sun's shadows need hard edges."""
-        return self.shadows.model_copy(update={"filter": 1}) if self._is_sharpened else self.shadows
+        return self.shadows.model_copy(update={"filter": 1}) if self._forces_hard_edges else self.shadows
 
     @property
-    def why_sharpened(self) -> list[Reasoned]:
+    def hard_edges_reasons(self) -> list[Reasoned]:
         """The reason for hard edges; empty if the requested filter is not changed."""
-        return [Reasoned(name="filter 1", reason=f"hard edges: {self.sharp_because}")] if self._is_sharpened else []
+        return [Reasoned(name="filter 1", reason=f"hard edges: {self.hard_edges_reason}")] if self._forces_hard_edges else []
 
     @property
     def is_area(self) -> bool:
         """Whether the light is shown as an area light."""
-        return is_area(self.descriptor, self.light, self.sharpened)
+        return is_area(self.descriptor, self.light, self.effective_shadows)
 
     @property
     def light_points(self) -> int:
         """The number of point lights that an area light is averaged over."""
         return max(light_points(self.descriptor, self.light), MIN_POINTS) if self.is_area else MAX_POINTS
 
-    def without_filter(self, name: str, *filters: int | str) -> list[Reasoned]:
+    def ignored_filter_reasons(self, name: str, *filters: int | str) -> list[Reasoned]:
         """Return the reason why a requested filter has no effect, for an algorithm that ignores it.
 
         Parameters
@@ -210,14 +210,14 @@ class SettingsRequest:
         list of Reasoned
             One entry; empty if the algorithm has the requested filter.
         """
-        asked = self.sharpened.filter
+        asked = self.effective_shadows.filter
         if asked in ("auto", 1, *filters):
             return []
         return [Reasoned(name=f"filter {asked}", reason=f"no effect: {name} has hard edges only")]
 
     @property
-    def _is_sharpened(self) -> bool:
-        return self.light == SUN and self.sharp_because is not None and self.shadows.filter != 1
+    def _forces_hard_edges(self) -> bool:
+        return self.light == SUN and self.hard_edges_reason is not None and self.shadows.filter != 1
 
 
 ResolvedSettings = tuple[AlgorithmSettings | None, list[Reasoned]]
@@ -235,13 +235,13 @@ class Search:
     ----------
     tuned
         Fields of ``Shadows`` that policies vary, each with its values in the order in which they are tried.
-    tunes
+    is_tunable
         Function of a descriptor, a light's name, a field and a value: whether the value makes sense there. If it does not, the
         algorithm resolves the field itself.
-    map_sizes_beside
+    companion_map_sizes
         Sizes of maps that are tried where this algorithm takes some kinds of casters and a map takes the others; ``None``: all
         sizes.
-    hopeless
+    is_excluded
         Function of a descriptor and a kind of casters: whether the algorithm is no candidate there, although it could serve it.
     compared
         Overrides that vary the resolution, for the accuracy report.
@@ -250,9 +250,9 @@ class Search:
     """
 
     tuned: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
-    tunes: Callable[[Descriptor, str, str, Any], bool] = lambda descriptor, light, key, value: True
-    map_sizes_beside: tuple[int, ...] | None = None
-    hopeless: Callable[[Descriptor, CasterKind], bool] = lambda descriptor, kind: False
+    is_tunable: Callable[[Descriptor, str, str, Any], bool] = lambda descriptor, light, key, value: True
+    companion_map_sizes: tuple[int, ...] | None = None
+    is_excluded: Callable[[Descriptor, CasterKind], bool] = lambda descriptor, kind: False
     compared: tuple[Overrides, ...] = ()
     variants: tuple[Overrides, ...] = ()
 
@@ -381,7 +381,7 @@ class Algorithm:
     node_fill
         Function of the settings that returns a function for nodes of bare ground, which reads their heights alone; ``None`` where
         the algorithm has none.
-    idle_casters
+    ignores_idle_casters
         Function of the settings: whether the visibility stays the same to the bit without ground that casts no shadow. A map
         returns False, since its taps shade a few points by a step where nothing casts.
     passes
@@ -416,7 +416,7 @@ class Algorithm:
     about: str
     fill: Fill | None = None
     node_fill: Callable[[Any], FillNodes | None] = lambda settings: None
-    idle_casters: Callable[[Any], bool] = lambda settings: False
+    ignores_idle_casters: Callable[[Any], bool] = lambda settings: False
     passes: tuple[str, ...] = ()
     plural: str = ""
     refuses: Mapping[Requirement, str] = field(default_factory=dict)

@@ -57,7 +57,7 @@ def ball_points(samples: int) -> np.ndarray:
     return radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), up], axis=1)
 
 
-def scenes_of_points(scene: Scene, light: str, samples: int) -> Iterator[Scene]:
+def point_light_scenes(scene: Scene, light: str, samples: int) -> Iterator[Scene]:
     """Yield the scene with a light at each of its points: the sun in a direction of its disc, a lamp at a position in its ball."""
     if light == SUN:
         assert scene.sun is not None
@@ -69,7 +69,7 @@ def scenes_of_points(scene: Scene, light: str, samples: int) -> Iterator[Scene]:
         yield scene.with_lamp(replace(lamp, position_earth_m=lamp.position_earth_m + place_m))
 
 
-def times_points(work: Work, points: int) -> Work:
+def scaled_by_points(work: Work, points: int) -> Work:
     """Return the work for all points of a light, given the work for one."""
     return {part: {name: points * count for name, count in counts.items()} for part, counts in work.items()}
 
@@ -92,11 +92,11 @@ def mean_over_light(
     """
     passes = log.named(light, kinds, ("",))[0]
     visibility, of_point = np.zeros(buffer.there.shape, np.float32), settings.model_copy(update=changes)
-    for moved in scenes_of_points(scene, light, settings.light_points):
+    for moved in point_light_scenes(scene, light, settings.light_points):
         seen = fill(buffer, moved, light, kinds, casters, of_point, log)
         seen[attached(buffer, moved, light)] = 0.0
         visibility += seen
-        log = replace(log, wanted=frozenset())
+        log = replace(log, requested_layers=frozenset())
     for record in log.records.values():
         if record.name.startswith(passes):
             record.light_points = settings.light_points

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.light_facing import MIN_LIGHT_SINE, facing_normals
 from skugga.terrain.gbuffer.resolve import FOREST
-from skugga.terrain.gbuffer.shared_points import GRAZING, facing_normals
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
@@ -17,7 +17,7 @@ def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarr
 
     A surface is in attached shadow in these cases:
 
-    - Its normal does not face the light (``facing_normals``): n.l is not above ``GRAZING``. Leaves are lit from either side.
+    - Its normal does not face the light (``facing_normals``): n.l is not above ``MIN_LIGHT_SINE``. Leaves are lit from either side.
     - It lies outside of the cone of a spot.
     - The scene has no sun, or the sun is below the horizon everywhere.
     """
@@ -28,18 +28,18 @@ def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarr
     source = scene.light_position(light, buffer.frame)
     normal = facing_normals(buffer, source).normal_frame
     if light == SUN:
-        return turned_away(normal, leaves, np.array(source[:3]))
+        return faces_away(normal, leaves, np.array(source[:3]))
     lamp = scene.lamps[light]
     position, axis, _ = lamp.in_frame(buffer.frame)
     cosine, out = float(np.cos(np.radians(lamp.cutoff_deg))), np.ones(buffer.there.shape, np.bool_)
-    in_shares(len(out), _beside_lamp, buffer.position_frame_m, normal, leaves, position, axis, cosine, out)
+    run_in_chunks(len(out), _beside_lamp, buffer.position_frame_m, normal, leaves, position, axis, cosine, out)
     return out
 
 
-def turned_away(normal: np.ndarray, leaves: np.ndarray, to_light: np.ndarray) -> np.ndarray:
+def faces_away(normal: np.ndarray, leaves: np.ndarray, to_light: np.ndarray) -> np.ndarray:
     """Return where unit normals (rows, cols, 3) do not face a direction (3,), bool (rows, cols); True where a normal is NaN."""
     out = np.empty(leaves.shape, np.bool_)
-    in_shares(len(out), _turned_away, normal, leaves, to_light, out)
+    run_in_chunks(len(out), _turned_away, normal, leaves, to_light, out)
     return out
 
 
@@ -49,7 +49,7 @@ def _turned_away(first, last, normal, leaves, to_light, out):
         for j in range(normal.shape[1]):
             n = normal[i, j]
             facing = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
-            out[i, j] = not (abs(facing) if leaves[i, j] else facing) > GRAZING
+            out[i, j] = not (abs(facing) if leaves[i, j] else facing) > MIN_LIGHT_SINE
 
 
 @compiled
@@ -61,4 +61,4 @@ def _beside_lamp(first, last, point, normal, leaves, position, axis, cosine, out
             along = -(axis[0] * x + axis[1] * y + axis[2] * z)
             length = np.sqrt(x * x + y * y + z * z)
             inside = along >= cosine * length
-            out[i, j] = not ((abs(facing) if leaves[i, j] else facing) > GRAZING * length and inside)
+            out[i, j] = not ((abs(facing) if leaves[i, j] else facing) > MIN_LIGHT_SINE * length and inside)

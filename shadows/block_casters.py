@@ -1,7 +1,7 @@
 """The casters that a map's block needs: ground beside it that may cast a shadow on it, and whether anything casts at all.
 
 A plan is shared by a level, a zoom and a sun. A block leaves out the casters and steps that it provably does not need
-(``skugga.terrain.casters.horizon_bound``), and records that. The picture stays the same to the bit.
+(``skugga.terrain.casters.caster_culling``), and records that. The picture stays the same to the bit.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from skugga.shadows.passes import CASTERS_PASS, GEOMETRY_PASS, PassLog
 from skugga.shadows.plan import Plan, Step
 from skugga.shadows.registry import ALGORITHMS
-from skugga.terrain.casters.horizon_bound import idle_patches, own_ground_is_clear
+from skugga.terrain.casters.caster_culling import culled_patches, own_ground_is_clear
 from skugga.terrain.casters.reach import Casters, Receivers
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
@@ -25,13 +25,15 @@ def caster_pass(plan: Plan) -> str:
     return CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS
 
 
-def casters_beside(scene: Scene, plan: Plan, receivers: Receivers, found: Callable[[], Casters], log: PassLog) -> Casters:
-    """Return the ground beside a part of a map that may block the sun, as ``found`` returns it, with its idle patches."""
+def find_outside_casters(
+    scene: Scene, plan: Plan, receivers: Receivers, find_casters: Callable[[], Casters], log: PassLog
+) -> Casters:
+    """Return the ground beside a part of a map that may block the sun, as ``find_casters`` returns it, with its idle patches."""
     name = caster_pass(plan)
     with log.run(name) as record:
-        casters = found()
-        if all(_goes_without_idle(step) for step in plan.steps_under(SUN) if "relief" in step.kinds):
-            casters = Casters(casters.patches, casters.reach, idle_patches(scene, receivers, casters.patches))
+        casters = find_casters()
+        if all(_ignores_idle_casters(step) for step in plan.steps_under(SUN) if "relief" in step.kinds):
+            casters = Casters(casters.patches, casters.reach, culled_patches(scene, receivers, casters.patches))
         if name == CASTERS_PASS and not casters.casting:
             record.left_out, record.note = record.left_out + 1, NOTHING_OUTSIDE
     return casters
@@ -43,13 +45,13 @@ def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, cast
     The ground's shadow under the sun is left out, and recorded as such, where all ground is provably clear. It is never left out
     where intermediate pictures are requested.
     """
-    idle = [step for step in steps if step.light == SUN and step.kinds == ("relief",) and _goes_without_idle(step)]
-    if not idle or log.wanted or casters.casting or not scene.sun_is_up or not own_ground_is_clear(scene, receivers):
+    idle = [step for step in steps if step.light == SUN and step.kinds == ("relief",) and _ignores_idle_casters(step)]
+    if not idle or log.requested_layers or casters.casting or not scene.sun_is_up or not own_ground_is_clear(scene, receivers):
         return list(steps)
     for step in idle:
         log.leave_out(log.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes), NOTHING_CASTS)
     return [step for step in steps if step not in idle]
 
 
-def _goes_without_idle(step: Step) -> bool:
-    return ALGORITHMS[step.algorithm].idle_casters(step.settings)
+def _ignores_idle_casters(step: Step) -> bool:
+    return ALGORITHMS[step.algorithm].ignores_idle_casters(step.settings)

@@ -15,7 +15,7 @@ from skugga.shadows.ground_pictures import ground_picture, is_shaded_by_heights
 from skugga.shadows.passes import PassLog
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
-from skugga.shadows.render import Frame, check_pixels, render_block, render_frame, under_sky, worse_reach
+from skugga.shadows.render import Frame, apply_refraction, check_pixels, render_block, render_frame, worse_reach
 from skugga.shadows.sunlit_ground import is_lit_by_heights, sunlit_picture
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.geo.camera import PerspectiveView
@@ -56,18 +56,18 @@ def draw(
         return picture_of(render_frame(scene, view, plan, on_block), needs)
     check_pixels(view)
     log = PassLog()
-    scene = under_sky(scene, plan, log)
-    blocks, whole = blocks_of(view), None
+    scene = apply_refraction(scene, plan, log)
+    blocks, picture = blocks_of(view), None
     for done, (block, row, col) in enumerate(blocks, start=1):
         part = _draw_block(scene, block, plan, needs, log)
         if len(blocks) == 1 and (block.rows, block.cols) == (view.rows, view.cols):
-            whole = part
+            picture = part
         else:
-            whole = _with_part(whole or _empty(view, needs), part, *windows_of(view, block, row, col))
+            picture = _with_part(picture or _empty(view, needs), part, *windows_of(view, block, row, col))
         if on_block is not None:
             on_block(done, len(blocks))
-    assert whole is not None
-    return replace(whole, passes=tuple(log.records.values()))
+    assert picture is not None
+    return replace(picture, passes=tuple(log.records.values()))
 
 
 def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, needs: Needs) -> bool:
@@ -110,12 +110,12 @@ def _empty(view: MapView, needs: Needs) -> Picture:
     )
 
 
-def _with_part(whole: Picture, part: Picture, inside: tuple[slice, slice], of_part: tuple[slice, slice]) -> Picture:
+def _with_part(picture: Picture, part: Picture, inside: tuple[slice, slice], of_part: tuple[slice, slice]) -> Picture:
     """Copy a window of a part into the whole picture, and keep the worse reach of both."""
     for name in ("valid", "color", "opacity", "visibility"):
-        into, array = getattr(whole, name), getattr(part, name)
+        into, array = getattr(picture, name), getattr(part, name)
         if into is not None:
             into[inside] = array[of_part]
-    reaches = [each.reach for each in (whole, part) if each.reach is not None]
+    reaches = [each.reach for each in (picture, part) if each.reach is not None]
     reach = worse_reach(*reaches) if len(reaches) == 2 else next(iter(reaches), None)
-    return replace(whole, reach=reach)
+    return replace(picture, reach=reach)

@@ -30,7 +30,7 @@ def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
     """
     ran: set[EffectName] = set()
     for record in passes:
-        if record.did_nothing:
+        if record.is_left_out:
             continue
         if record.name in EFFECTS:
             ran.add(record.name)

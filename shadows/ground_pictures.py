@@ -1,7 +1,7 @@
 """Shaded pictures of bare ground in maps, without a geometry buffer for each sun. The map service and films draw mostly these.
 
 Where heights alone determine visibility and shading, a block's colour and the opacity of its shadow need no triangles. Shadows are
-swept over nodes (``skugga.shadows.coarse_pixels``, as in any picture). The ground is cached across suns and shaded in one pass
+swept over nodes (``skugga.shadows.supersampling``, as in any picture). The ground is cached across suns and shaded in one pass
 (``skugga.terrain.gbuffer.bare_ground``). The pictures equal those of ``render_frame``; ``skugga.shadows.draw`` chooses the path.
 
 Pixels that are no nodes, as in most pictures, take their ground from one geometry buffer for all suns.
@@ -11,19 +11,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.coarse_pixels import coarse_pixels, halved_pixels, heights_say_all, mean_visibilities
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import REFRACTION_PASS, SHADING_PASS
+from skugga.shadows.supersampling import edge_supersampling, heights_say_all, mean_visibilities, supersampling
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import NO_CASTERS, reach_over
+from skugga.terrain.casters.reach import NO_CASTERS, find_reach_of_nodes
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.sky_view import apply_sky_view
 from skugga.terrain.gbuffer.bare_ground import BareGround, bare_ground
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
-from skugga.terrain.gbuffer.covered_nodes import is_bare
-from skugga.terrain.gbuffer.picture import geometry_of, imagery_of
+from skugga.terrain.gbuffer.supersampling import is_bare
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer, ground_imagery
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.sky_view_factor import SkyView, sky_view
 from skugga.terrain.level.level import SUN
@@ -32,11 +32,11 @@ from skugga.terrain.shading import open_sky, shaded_ground
 
 SKY_PASS = "sky_view"
 
-DRAWN_HERE = frozenset({"cast_shadows", CASTERS_PASS, SKY_PASS, REFRACTION_PASS})
+SUPPORTED_EFFECTS = frozenset({"cast_shadows", CASTERS_PASS, SKY_PASS, REFRACTION_PASS})
 """Effects that this path supports."""
 
 
-LEAST_SUNWARD = 0.05
+MIN_SUN_COSINE = 0.05
 """Lower bound of the cosine between a smooth normal and the sun's direction.
 
 Above it no adjacent triangle is assumed to face away.
@@ -46,8 +46,8 @@ Above it no adjacent triangle is assumed to face away.
 def is_shaded_by_heights(scene: Scene, plan: Plan) -> bool:
     """Return whether heights, sun and sky alone determine what a map shows."""
     level = scene.loaded.level
-    plain = is_bare(scene) and level.water is None and imagery_of(scene) is None and scene.sun is not None
-    return plain and plan.runs <= DRAWN_HERE and (heights_say_all(scene, plan) or not plan.casts or not scene.sun_is_up)
+    plain = is_bare(scene) and level.water is None and ground_imagery(scene) is None and scene.sun is not None
+    return plain and plan.runs <= SUPPORTED_EFFECTS and (heights_say_all(scene, plan) or not plan.casts or not scene.sun_is_up)
 
 
 def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
@@ -60,7 +60,7 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         if not ground.there.any():
             nothing = np.zeros(ground.there.shape, np.uint8)
             return Picture(ground.there, (), np.zeros((*nothing.shape, 3), np.uint8), nothing, reach=NO_CASTERS.reach)
-        reach = reach_over(scene, bare_nodes(scene, _nodes_under(ground.window_view), 1)) if "reach" in needs else None
+        reach = find_reach_of_nodes(scene, bare_nodes(scene, _nodes_under(ground.window_view), 1)) if "reach" in needs else None
     lit = _lit_shares(scene, ground, plan, log)
     if lit is None:
         return None
@@ -73,21 +73,21 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
     return Picture(ground.there, (), color, opacity if "opacity" in needs else None, reach=reach)
 
 
-def _made_from(scene: Scene, view: MapView, sky: SkyView | None) -> tuple[object, ...]:
+def _cache_key(scene: Scene, view: MapView, sky: SkyView | None) -> tuple[object, ...]:
     return scene.world, scene.elevation, view, sky
 
 
-@cached("scene", 448 * MIB, key=_made_from)
+@cached("scene", 448 * MIB, key=_cache_key)
 def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround:
     """Return the bare ground at pixels of a map that are no nodes.
 
     Its sky view accounts for the ground's own horizon if ``sky`` is given.
     """
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     share = open_sky(buffer, scene)
     if sky is not None:
         apply_sky_view(share, ShadingBlock(scene, view, buffer, {}))
-    up = buffer.position_frame_m - scene.world.up_from(buffer.frame)
+    up = buffer.position_frame_m - scene.world.up_origin(buffer.frame)
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
     whole = slice(0, view.rows), slice(0, view.cols)
     return BareGround(
@@ -111,7 +111,7 @@ def _faces_sun(ground: BareGround, scene: Scene) -> bool:
     """Return whether all ground faces the sun by a margin that holds for its triangles: then none is in attached shadow."""
     assert scene.sun is not None
     facing = ground.normal_frame @ scene.sun.in_frame(ground.frame).astype(np.float32)
-    return float(facing[ground.there[ground.window]].min(initial=1.0)) > LEAST_SUNWARD
+    return float(facing[ground.there[ground.window]].min(initial=1.0)) > MIN_SUN_COSINE
 
 
 def _lit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> np.ndarray | None:
@@ -122,7 +122,7 @@ def _lit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> n
     if not plan.casts:
         with log.run(ATTACHED_PASS):
             return np.ones(ground.there.shape, np.float32) if _faces_sun(ground, scene) else None
-    pixels = coarse_pixels(scene, ground.view, plan) or halved_pixels(scene, ground.view, plan)
-    if pixels is None or not pixels.bare:
+    pixels = supersampling(scene, ground.view, plan) or edge_supersampling(scene, ground.view, plan)
+    if pixels is None or not pixels.heights_only:
         return None
     return mean_visibilities(pixels, ground, log)[SUN]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.passes import OF_PIXELS, PassLayer
+from skugga.shadows.passes import PIXEL_LAYERS, PassLayer
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.grid import PixelWindow
 
@@ -20,40 +20,40 @@ class LayerCollector:
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
-        self._of_pixels: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
-        self._others: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
+        self._pixel_layers: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
+        self._sized_layers: dict[tuple[PassLayer, str], list[np.ndarray]] = {}
 
     def add(
-        self, kept: dict[tuple[PassLayer, str], list[np.ndarray]], frame_window: PixelWindow, block_window: PixelWindow
+        self, layers: dict[tuple[PassLayer, str], list[np.ndarray]], frame_window: PixelWindow, block_window: PixelWindow
     ) -> None:
         """Add the layers of a block, whose pixels ``block_window`` are the frame's pixels ``frame_window``.
 
         Raises ``InputError`` for too many texels.
         """
-        for (layer, light), pictures in kept.items():
-            if layer in OF_PIXELS:
-                frame_pictures = self._of_pixels.setdefault(
+        for (layer, light), pictures in layers.items():
+            if layer in PIXEL_LAYERS:
+                frame_pictures = self._pixel_layers.setdefault(
                     (layer, light), [_empty(self._size, picture.dtype) for picture in pictures]
                 )
                 for frame_picture, picture in zip(frame_pictures, pictures, strict=True):
                     frame_picture[frame_window] = picture[block_window]
             else:
-                others = self._others.setdefault((layer, light), [])
-                others += pictures
-                if sum(picture.size for picture in others) > MAX_TEXELS:
-                    amount = f"{layer} has {sum(picture.size for picture in others)} texels"
+                tiles = self._sized_layers.setdefault((layer, light), [])
+                tiles += pictures
+                if sum(picture.size for picture in tiles) > MAX_TEXELS:
+                    amount = f"{layer} has {sum(picture.size for picture in tiles)} texels"
                     raise InputError.over_limit("layer", amount, str(MAX_TEXELS), "Use a smaller view or smaller maps")
 
     @property
     def pictures(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
         """The pictures by layer and light, in the form that ``add`` of another collector takes."""
-        return {**self._of_pixels, **self._others}
+        return {**self._pixel_layers, **self._sized_layers}
 
     @property
     def whole(self) -> dict[PassLayer, dict[str, np.ndarray]]:
         """The assembled picture of each layer and light."""
         out: dict[PassLayer, dict[str, np.ndarray]] = {}
-        for (layer, light), pictures in (*self._of_pixels.items(), *self._others.items()):
+        for (layer, light), pictures in (*self._pixel_layers.items(), *self._sized_layers.items()):
             out.setdefault(layer, {})[light] = tiled_pictures(pictures)
         return out
 

@@ -1,7 +1,7 @@
 """Anti-aliased edges in maps: a pixel that an edge crosses shows the mean over its samples.
 
 Masks and measures of accuracy keep to the pixels' own points. Where heights alone suffice, all pixels show means over nodes half a
-pixel apart, as in coarse maps (``skugga.shadows.coarse_pixels``). Elsewhere only pixels that an edge crosses get more samples. The
+pixel apart, as in coarse maps (``skugga.shadows.supersampling``). Elsewhere only pixels that an edge crosses get more samples. The
 samples are the points of a finer view of the same ground. The plan's own steps fill them, and they are shaded one by one. A pixel
 whose samples all agree with its own point keeps that point.
 
@@ -18,18 +18,18 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.block_casters import casters_beside
-from skugga.shadows.coarse_pixels import halved_pixels, looks_beside, mean_visibilities
+from skugga.shadows.block_casters import find_outside_casters
 from skugga.shadows.passes import GEOMETRY_PASS, PassLog
 from skugga.shadows.plan import Plan
+from skugga.shadows.supersampling import edge_supersampling, mean_visibilities, needs_outside_casters
 from skugga.shadows.visibility import visibilities_at
-from skugga.terrain.casters.horizon_bound import own_ground_faces_sun
-from skugga.terrain.casters.reach import NO_CASTERS, Casters, casters_of
+from skugga.terrain.casters.caster_culling import own_ground_faces_sun
+from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters
 from skugga.terrain.compiled import compiled
-from skugga.terrain.gbuffer.antialias import SIDE, MultisampledBuffer
-from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.gbuffer.antialias import SAMPLES_PER_SIDE, MultisampledBuffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.supersampling import is_bare
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
@@ -39,12 +39,12 @@ Arrays = dict[str, np.ndarray]
 EDGE = 0.5
 """Threshold of the change of a light's visibility between neighbouring pixels that marks an edge. A penumbra changes by less."""
 
-PART_PX = BLOCK_PX // SIDE
+PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
 """Side in pixels of a part whose finer view is made at a time: as many points as in a block."""
 
-EACH = SIDE * SIDE
+SAMPLES_PER_PIXEL = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE
 
-SHADED_BY = ("there", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
+SHADING_ARRAYS = ("there", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
 """Arrays of a geometry buffer that shading reads."""
 
 
@@ -58,13 +58,13 @@ def anti_aliased(
     """
     view = own.view
     assert isinstance(view, MapView)
-    kept, wanted, log.wanted = log.take(), log.wanted, frozenset()
-    pixels = halved_pixels(scene, view, plan)
+    kept, requested_layers, log.requested_layers = log.take(), log.requested_layers, frozenset()
+    pixels = edge_supersampling(scene, view, plan)
     if pixels is None:
         shown = _edge_sampled(scene, plan, own, view, visibilities, log)
     else:
         shown = MultisampledBuffer(own, view.rows), mean_visibilities(pixels, own, log)
-    log.layers, log.wanted = kept, wanted
+    log.layers, log.requested_layers = kept, requested_layers
     return shown
 
 
@@ -74,18 +74,18 @@ def _edge_sampled(
     if _is_evenly_lit(scene, plan, own, visibilities):
         return MultisampledBuffer(own, view.rows), visibilities
     edges = edge_pixels(own, list(visibilities.values()))
-    pixels, found = [], []
+    pixels, samples = [], []
     for down, right in _parts(edges):
         part = edges[down, right]
         pixels.append(np.argwhere(part) + [down.start, right.start])
-        finer = _finer(scene, own, view.part(down.start, right.start, *part.shape), part, log)
-        beside = looks_beside(plan, own, (down, right))
-        casters = casters_beside(scene, plan, finer, partial(_casters, scene, finer, beside), log)
-        found.append(_samples(finer, visibilities_at(scene, plan, finer, casters, log), part))
-    if not found:
+        finer = _sample_buffer(scene, own, view.part(down.start, right.start, *part.shape), part, log)
+        beside = needs_outside_casters(plan, own, (down, right))
+        casters = find_outside_casters(scene, plan, finer, partial(_casters, scene, finer, beside), log)
+        samples.append(_samples(finer, visibilities_at(scene, plan, finer, casters, log), part))
+    if not samples:
         return MultisampledBuffer(own, view.rows), visibilities
     row, col = np.concatenate(pixels).T
-    arrays = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+    arrays = {name: np.concatenate([each[name] for each in samples]) for name in samples[0]}
     missing = ~arrays["there"]  # beyond the ground's rim the pixel's own point replaces the sample
     differ = arrays["kind"] != own.kind[row, col][:, None]
     for light, visibility in visibilities.items():
@@ -95,12 +95,12 @@ def _edge_sampled(
     if not len(row):
         return MultisampledBuffer(own, view.rows), visibilities
     changes: dict[str, Any] = {}
-    for name in SHADED_BY:
+    for name in SHADING_ARRAYS:
         value = getattr(own, name)
         if value is not None:
-            changes[name] = _below(value, arrays[name], missing, row, col)
-    seen = {light: _below(value, arrays[light], missing, row, col) for light, value in visibilities.items()}
-    return MultisampledBuffer(replace(own, **changes), view.rows, (row, col), EACH), seen
+            changes[name] = _with_samples(value, arrays[name], missing, row, col)
+    seen = {light: _with_samples(value, arrays[light], missing, row, col) for light, value in visibilities.items()}
+    return MultisampledBuffer(replace(own, **changes), view.rows, (row, col), SAMPLES_PER_PIXEL), seen
 
 
 def _is_evenly_lit(scene: Scene, plan: Plan, own: GeometryBuffer, visibilities: Arrays) -> bool:
@@ -114,7 +114,7 @@ def _is_evenly_lit(scene: Scene, plan: Plan, own: GeometryBuffer, visibilities: 
 
 
 def _casters(scene: Scene, finer: GeometryBuffer, beside: bool) -> Casters:
-    return casters_of(scene, finer) if beside else NO_CASTERS
+    return find_casters(scene, finer) if beside else NO_CASTERS
 
 
 def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.ndarray:
@@ -142,27 +142,30 @@ def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
                 yield down, right
 
 
-def _finer(scene: Scene, own: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
+def _sample_buffer(scene: Scene, own: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
     """Return the samples of the ``edges`` pixels of a part."""
     with log.run(GEOMETRY_PASS):
-        wanted = np.repeat(np.repeat(edges, SIDE, axis=0), SIDE, axis=1)
-        return geometry_of(scene, part.finer(SIDE), own.frame, wanted=wanted)
+        pixel_mask = np.repeat(np.repeat(edges, SAMPLES_PER_SIDE, axis=0), SAMPLES_PER_SIDE, axis=1)
+        return geometry_buffer(scene, part.finer(SAMPLES_PER_SIDE), own.frame, pixel_mask=pixel_mask)
 
 
 def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) -> Arrays:
     """Return the arrays for shading and each light's visibility at the samples of some pixels of a part.
 
-    Each array is (pixels, ``EACH``, ...).
+    Each array is (pixels, ``SAMPLES_PER_PIXEL``, ...).
     """
-    arrays = {name: value for name in SHADED_BY if (value := getattr(buffer, name)) is not None}
+    arrays = {name: value for name in SHADING_ARRAYS if (value := getattr(buffer, name)) is not None}
     arrays.update(visibilities)
     row, col = np.nonzero(edges)
-    places = [(row * SIDE + k // SIDE, col * SIDE + k % SIDE) for k in range(EACH)]
+    places = [
+        (row * SAMPLES_PER_SIDE + k // SAMPLES_PER_SIDE, col * SAMPLES_PER_SIDE + k % SAMPLES_PER_SIDE)
+        for k in range(SAMPLES_PER_PIXEL)
+    ]
     return {name: np.stack([value[place] for place in places], axis=1) for name, value in arrays.items()}
 
 
-def _below(own: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Return a buffer's array with samples (n, ``EACH``, ...) in rows below it. Missing samples take the pixel's own value."""
+def _with_samples(own: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    """Return a buffer's array with samples (n, ``SAMPLES_PER_PIXEL``, ...) in rows below it. Missing samples take the pixel's own value."""
     of_pixels = own[row, col][:, None]
     gone = missing.reshape(missing.shape + (1,) * (samples.ndim - 2))
     flat = np.where(gone, of_pixels, samples).reshape(-1, *own.shape[2:])
@@ -172,14 +175,14 @@ def _below(own: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.nd
 
 
 @compiled
-def _mark_changes(values, most, edges):
-    """Mark the pixels (rows, cols) whose values differ by more than ``most`` from one of their eight neighbours."""
+def _mark_changes(values, threshold, edges):
+    """Mark the pixels (rows, cols) whose values differ by more than ``threshold`` from one of their eight neighbours."""
     rows, cols = values.shape
     for i in range(rows):
         for j in range(cols):
             here = np.float64(values[i, j])
             for k in range(4):  # east, south-west, south, south-east
                 a, b = i + (k > 0), j + (1 if k == 0 else k - 2)
-                if a < rows and 0 <= b < cols and abs(np.float64(values[a, b]) - here) > most:
+                if a < rows and 0 <= b < cols and abs(np.float64(values[a, b]) - here) > threshold:
                     edges[i, j] = True
                     edges[a, b] = True

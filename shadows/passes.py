@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from skugga.terrain.gl.programs import recorded
+from skugga.terrain.gl.programs import record_draw_calls
 
 GEOMETRY_PASS = "geometry"
 CASTERS_PASS = "outside_casters"
@@ -29,7 +29,7 @@ PassLayer = Literal["shadow-map", "stencil", "silhouettes", "volumes", "shadow-h
 - ``shadow-height``: the height in metres above which the sun is visible, float32.
 """
 
-OF_PIXELS: frozenset[PassLayer] = frozenset({"stencil", "silhouettes", "volumes", "shadow-height"})
+PIXEL_LAYERS: frozenset[PassLayer] = frozenset({"stencil", "silhouettes", "volumes", "shadow-height"})
 """Layers with one value for each pixel of the picture. The others have a size of their own."""
 
 
@@ -89,12 +89,12 @@ class PassRecord:
     textures: tuple[str, ...] = ()
     loops: tuple[str, ...] = ()
 
-    def looked_up_by(self, loop: str, taps: int) -> None:
+    def add_loop(self, loop: str, taps: int) -> None:
         """Record that a loop on the processor sampled a map at points by ``taps`` taps along a side."""
         self.loops = tuple(dict.fromkeys([*self.loops, f"{loop} taps={taps}"]))
 
     @property
-    def did_nothing(self) -> bool:
+    def is_left_out(self) -> bool:
         """Whether all parts of the picture left out the pass."""
         return 0 < self.parts == self.left_out
 
@@ -107,14 +107,14 @@ class PassLog:
     ----------
     records
         The records by name.
-    wanted
+    requested_layers
         The layers that passes shall keep.
     layers
         The layers that passes kept, by layer and light, in order.
     """
 
     records: dict[str, PassRecord] = field(default_factory=dict)
-    wanted: frozenset[PassLayer] = frozenset()
+    requested_layers: frozenset[PassLayer] = frozenset()
     layers: dict[tuple[PassLayer, str], list[np.ndarray]] = field(default_factory=dict)
 
     @contextmanager
@@ -123,7 +123,7 @@ class PassLog:
         record = self.records.setdefault(name, PassRecord(name))
         record.parts += 1
         start = time.perf_counter()
-        with recorded() as calls:
+        with record_draw_calls() as calls:
             try:
                 yield record
             finally:
@@ -142,10 +142,10 @@ class PassLog:
     def keep(self, layer: PassLayer, light: str, make: Callable[..., np.ndarray], *args: object) -> None:
         """Keep the picture ``make(*args)`` of a layer and a light. ``make`` is called only if the layer is wanted.
 
-        A layer of ``OF_PIXELS`` has the rows and columns of the geometry buffer, without the rows of samples below them. In any
+        A layer of ``PIXEL_LAYERS`` has the rows and columns of the geometry buffer, without the rows of samples below them. In any
         other layer, row 0 is the upper row.
         """
-        if layer in self.wanted:
+        if layer in self.requested_layers:
             self.layers.setdefault((layer, light), []).append(make(*args))
 
     def take(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:

@@ -16,7 +16,7 @@ MAX_POINTS, MIN_POINTS = 32, 4
 POINTS_PER_PX = 4.0
 """Steps of a penumbra per pixel of its width. A step is then at most a quarter of the step at a pixel's own edge."""
 
-NEAREST_CASTER = 0.8
+MAX_CASTER_SHARE = 0.8
 """Upper bound of a caster's position, as a share of the way from a receiver to the lamp. It is used where the position is unknown.
 
 Known positions are twice the median, since half of all casters are nearer to the lamp than the median.
@@ -51,5 +51,5 @@ def light_points(descriptor: Descriptor, light: str) -> int:
 
 
 def _width_m(lamp: LampFacts, light_m: float, thrown_m: float | None) -> float:
-    share = NEAREST_CASTER if thrown_m is None else max(min(2.0 * thrown_m / light_m, NEAREST_CASTER), 0.0)
+    share = MAX_CASTER_SHARE if thrown_m is None else max(min(2.0 * thrown_m / light_m, MAX_CASTER_SHARE), 0.0)
     return 2.0 * lamp.radius_m * share / (1.0 - share)

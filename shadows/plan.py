@@ -27,7 +27,7 @@ def settings_type(*names: AlgorithmName) -> Any:
     return reduce(or_, types) if types else AlgorithmSettings
 
 
-class _OfAlgorithms:
+class _SettingsSchema:
     """Annotation that adds the settings types of all algorithms to JSON schemas."""
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Any:
@@ -70,7 +70,7 @@ class Plan(_Value):
     view: str
     policy: Literal["rules", "predict", "probe", "measure"]
     algorithm: dict[str, dict[CasterKind, AlgorithmName]]
-    settings: dict[str, dict[CasterKind, Annotated[SerializeAsAny[AlgorithmSettings], _OfAlgorithms()]]]
+    settings: dict[str, dict[CasterKind, Annotated[SerializeAsAny[AlgorithmSettings], _SettingsSchema()]]]
     effects: list[Reasoned]
     left_out: list[Reasoned]
     rejected: list[Reasoned]
@@ -81,7 +81,7 @@ class Plan(_Value):
 
     @field_validator("settings", mode="before")
     @classmethod
-    def _of_their_algorithms(cls, value: Any, info: ValidationInfo) -> Any:
+    def _parse_settings(cls, value: Any, info: ValidationInfo) -> Any:
         """Parse settings from text as the settings types of the plan's algorithms."""
         algorithm = info.data.get("algorithm", {})
         return {

@@ -38,7 +38,7 @@ from skugga.terrain.casters.casting import caster_meshes, caster_trees
 from skugga.terrain.casters.clip_space import camera_clip, map_clip
 from skugga.terrain.casters.reach import Casters
 from skugga.terrain.facts.fact_types import Casting
-from skugga.terrain.facts.probes import HALF_A_HIT
+from skugga.terrain.facts.probes import MIN_CAST_SHARE
 from skugga.terrain.gbuffer.antialias import finer_view
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
@@ -62,7 +62,7 @@ NO_GROUND_VALUE, LIT_VALUE, SHADED_VALUE = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
-class Projected:
+class Projection:
     """The casters and the light of a projection. Coordinates are metres along the axes of a frame, from ``origin_frame_m``.
 
     Attributes
@@ -118,7 +118,7 @@ def fill(
     return np.where(stencil == SHADED_VALUE, np.float32(0.0), np.float32(1.0))
 
 
-def onto_plane(light_m: np.ndarray) -> np.ndarray:
+def plane_projection(light_m: np.ndarray) -> np.ndarray:
     """Return the projection (4, 4) of homogeneous points onto z = 0, away from a homogeneous light (4,) above it: p' / H."""
     return np.eye(4) - np.outer(light_m / light_m[2], [0.0, 0.0, 1.0, 0.0])
 
@@ -133,7 +133,7 @@ def clip_from_plane(world: World, frame: LocalFrame, view: MapView | Perspective
     return map_clip(world, frame, view, origin_frame_m, (origin_frame_m[2] - 1.0, origin_frame_m[2] + 1.0))
 
 
-def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...]) -> Projected:
+def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...]) -> Projection:
     """Return the casters, relative to the point of the plane below the eye, or in the middle of a map."""
     view, frame = buffer.view, buffer.frame
     if isinstance(view, MapView):
@@ -148,7 +148,7 @@ def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[Ca
     else:
         light_m = np.append(scene.lamps[light].in_frame(frame).position_frame_m - origin, 1.0)
     meshes = caster_meshes(scene, buffer, ("meshes",)) if "meshes" in kinds else []  # level ground casts no shadow
-    return Projected(
+    return Projection(
         origin, light_m, [(vertices - origin, triangles) for vertices, triangles in meshes], caster_trees(buffer, kinds)
     )
 
@@ -158,7 +158,7 @@ def _stencil(
     frame: LocalFrame,
     view: MapView | PerspectiveView,
     receivers: np.ndarray,
-    projected: Projected,
+    projected: Projection,
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
@@ -180,12 +180,12 @@ def _stencil(
         texture.release()
         record.bytes = max(record.bytes, 9 * receivers.size)
     with log.run(passes[1]) as record:
-        clip_from_caster = clip_from_plane(world, frame, view, projected.origin_frame_m) @ onto_plane(projected.light_m)
+        clip_from_caster = clip_from_plane(world, frame, view, projected.origin_frame_m) @ plane_projection(projected.light_m)
         _draw_casters(gl, target, clip_from_caster, projected, record)
         return gl.stencil.read(target)
 
 
-def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projected: Projected, record: PassRecord) -> None:
+def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray, projected: Projection, record: PassRecord) -> None:
     uniforms = {"clip_from_caster": tuple(clip_from_caster.T.ravel()), "position_error": POSITION_ERROR}
     with gl.stencil.once_pass(target, LIT_VALUE, clip_distances=1):
         if projected.meshes:
@@ -209,7 +209,7 @@ def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray,
 
 
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
-    return None, request.without_filter("planar")
+    return None, request.ignored_filter_reasons("planar")
 
 
 def _work(task: Workload, settings: None) -> Work:
@@ -219,7 +219,7 @@ def _work(task: Workload, settings: None) -> Work:
 
 def _wrong_share(casting: Casting) -> float:
     """Return the share of receivers on meshes and trees in shadow, which get none; the whole shadow's share if unknown."""
-    return casting.share if casting.on_bodies is None else max(casting.on_bodies, HALF_A_HIT)
+    return casting.share if casting.on_bodies is None else max(casting.on_bodies, MIN_CAST_SHARE)
 
 
 ALGORITHM = Algorithm(
@@ -234,7 +234,7 @@ ALGORITHM = Algorithm(
     },
     layers=("stencil",),
     resolve=_resolve,
-    search=Search(map_sizes_beside=FEW_MAP_SIZES),
+    search=Search(companion_map_sizes=FEW_MAP_SIZES),
     cost=Cost(_work),
     accuracy=Accuracy(wrong_share=_wrong_share),
     mark=Mark("wedge", "purple"),

@@ -8,23 +8,23 @@ from functools import cached_property
 
 import numpy as np
 
-from skugga.shadows.block_casters import casters_beside
-from skugga.shadows.coarse_pixels import coarse_pixels, mean_visibilities
+from skugga.shadows.block_casters import find_outside_casters
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.layer_collector import LayerCollector
 from skugga.shadows.map_edges import anti_aliased
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLayer, PassLog, PassRecord
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.supersampling import mean_visibilities, supersampling
 from skugga.shadows.visibility import visibilities_at, with_apparent_sun
-from skugga.terrain.casters.reach import Casters, Reach, casters_of, reach_of
+from skugga.terrain.casters.reach import Casters, Reach, find_casters, find_reach
 from skugga.terrain.effects import EFFECTS
 from skugga.terrain.effects.effect import BEFORE_SHADING, ShadingBlock, Stage
 from skugga.terrain.errors import InputError, RenderError, UnsupportedError
 from skugga.terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
-from skugga.terrain.gbuffer.covered_nodes import PixelsShow
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.subsampled import subsampled_points
+from skugga.terrain.gbuffer.supersampling import PixelSampling
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView, blocks_of, windows_of
 from skugga.terrain.geo.world import LocalFrame
@@ -42,7 +42,7 @@ REFRACTION_PASS = "refraction"
 MAX_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
 
-REACH_EVERY = 4
+REACH_STRIDE_PX = 4
 """Stride in pixels of the points from which casters are searched, in a perspective view in which nothing casts."""
 
 BAND_PIXELS = 2**21
@@ -155,11 +155,11 @@ def render_frame(
     plan: Plan,
     on_block: Callable[[int, int], None] | None = None,
     layers: frozenset[PassLayer] = frozenset(),
-    pixels_show: PixelsShow = "means",
+    pixel_sampling: PixelSampling = "means",
 ) -> Frame:
     """Execute a plan on a scene and a view.
 
-    Pixels of a coarse map show means of the ground that they cover (``skugga.shadows.coarse_pixels``). Edges in other maps are
+    Pixels of a coarse map show means of the ground that they cover (``skugga.shadows.supersampling``). Edges in other maps are
     anti-aliased (``skugga.shadows.map_edges``).
 
     Parameters
@@ -170,7 +170,7 @@ def render_frame(
         Function that is called with the numbers of finished and of all blocks, after each block.
     layers
         The intermediate pictures to keep.
-    pixels_show
+    pixel_sampling
         ``means``, or the pixels' own points, by which accuracy is measured.
 
     Returns
@@ -190,12 +190,12 @@ def render_frame(
     _check_layers(plan, layers)
     check_pixels(view)
     size = view.rows, view.cols
-    log, reach, kept = PassLog(wanted=layers), Reach(0.0, 0.0, False), LayerCollector(size)
-    scene = under_sky(scene, plan, log)
+    log, reach, collector = PassLog(requested_layers=layers), Reach(0.0, 0.0, False), LayerCollector(size)
+    scene = apply_refraction(scene, plan, log)
     parts: Sequence[tuple[MapView | PerspectiveView, int, int]] = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     whole = None
     for done, (part, row, col) in enumerate(parts, start=1):
-        block = render_block(scene, part, plan, log, pixels_show)
+        block = render_block(scene, part, plan, log, pixel_sampling)
         reach = worse_reach(reach, block.reach)
         frame_window, block_window = windows_of(view, part, row, col)
         if whole is None:  # a single part provides the arrays of the whole view
@@ -207,23 +207,23 @@ def render_frame(
                 whole.shown_visibilities[light][frame_window] = block.shown_visibilities[light][block_window]
             if whole.position_frame_m is not None and block.position_frame_m is not None:
                 whole.position_frame_m[frame_window] = block.position_frame_m[block_window]
-        kept.add(log.take(), frame_window, block_window)
+        collector.add(log.take(), frame_window, block_window)
         if on_block is not None:
             on_block(done, len(parts))
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
     assert whole is not None
-    return replace(whole, view=view, passes=tuple(log.records.values()), reach=reach, layers=kept.whole)
+    return replace(whole, view=view, passes=tuple(log.records.values()), reach=reach, layers=collector.whole)
 
 
-def _looked_from(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
+def _reach_points(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
     """Return the points from which casters are searched.
 
     They are fewer in a perspective view in which nothing casts, since only the report of the casters' reach needs them there.
     """
     if plan.casts or isinstance(own_pixels.view, MapView):
         return own_pixels
-    return subsampled_points(own_pixels, REACH_EVERY)
+    return subsampled_points(own_pixels, REACH_STRIDE_PX)
 
 
 def _empty(view: MapView | PerspectiveView, plan: Plan, part: Frame) -> Frame:
@@ -248,7 +248,7 @@ def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
     return [(view.part(row, 0, min(rows, view.rows - row), view.cols), row, 0) for row in range(0, view.rows, rows)]
 
 
-def under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
+def apply_refraction(scene: Scene, plan: Plan, log: PassLog) -> Scene:
     """Return the scene with the sun as a plan's effects show it. Refraction is a pass of its own."""
     if REFRACTION_PASS not in plan.runs:
         return with_apparent_sun(scene, plan.runs)
@@ -257,24 +257,24 @@ def under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
 
 
 def render_block(
-    scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog, pixels_show: PixelsShow = "means"
+    scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog, pixel_sampling: PixelSampling = "means"
 ) -> Frame:
-    """Render a part of a view, or a block of a map, of a scene from ``under_sky``. Raises as ``render_frame``."""
+    """Render a part of a view, or a block of a map, of a scene from ``apply_refraction``. Raises as ``render_frame``."""
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
         buffer, own_pixels = picture.buffer, picture.own
-        reach = reach_of(scene, _looked_from(own_pixels, plan)) if CASTERS_PASS not in plan.runs else None
+        reach = find_reach(scene, _reach_points(own_pixels, plan)) if CASTERS_PASS not in plan.runs else None
     if reach is None:
-        casters = casters_beside(scene, plan, own_pixels, lambda: casters_of(scene, own_pixels), log)
+        casters = find_outside_casters(scene, plan, own_pixels, lambda: find_casters(scene, own_pixels), log)
     else:
         casters = Casters((), reach)
-    pixels = coarse_pixels(scene, view, plan) if pixels_show == "means" else None
+    pixels = supersampling(scene, view, plan) if pixel_sampling == "means" else None
     if pixels is None:
         visibilities = visibilities_at(scene, plan, buffer, casters, log)
     else:
         visibilities = mean_visibilities(pixels, own_pixels, log)
     seen = visibilities
-    if isinstance(view, MapView) and pixels is None and pixels_show == "means":
+    if isinstance(view, MapView) and pixels is None and pixel_sampling == "means":
         picture, seen = anti_aliased(scene, plan, own_pixels, visibilities, log)
     block = ShadingBlock(scene, view, picture.buffer, seen)
     linear = _shaded(block, plan, log)

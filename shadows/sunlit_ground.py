@@ -8,17 +8,17 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.shadows.attached import attached
-from skugga.shadows.coarse_pixels import CoarsePixels, coarse_pixels, heights_say_all, lit_nodes
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
+from skugga.shadows.supersampling import Supersampling, heights_say_all, lit_nodes, supersampling
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.reach import NO_CASTERS, reach_over
+from skugga.terrain.casters.reach import NO_CASTERS, find_reach_of_nodes
 from skugga.terrain.gbuffer.bare_ground import bare_ground
 from skugga.terrain.gbuffer.bare_nodes import HALO, bare_nodes
-from skugga.terrain.gbuffer.covered_nodes import is_bare
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from skugga.terrain.gbuffer.ground_normals import ground_normals
+from skugga.terrain.gbuffer.supersampling import is_bare
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
@@ -28,7 +28,7 @@ def is_lit_by_heights(scene: Scene, view: MapView, plan: Plan) -> bool:
     """Return whether the heights of bare ground determine the sun's visibility at a map's own points."""
     if not (view.on_nodes and is_bare(scene) and scene.sun is not None and plan.lights[0] == SUN):
         return False
-    return not scene.sun_is_up or (heights_say_all(scene, plan) and coarse_pixels(scene, view, plan) is None)
+    return not scene.sun_is_up or (heights_say_all(scene, plan) and supersampling(scene, view, plan) is None)
 
 
 def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
@@ -40,9 +40,9 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         visibility = np.where(ground.there, np.float32(0.0), np.float32(np.nan))
         if not ground.there.any():
             return Picture(ground.there, (), visibility=visibility, reach=NO_CASTERS.reach)
-        reach = reach_over(scene, bare_nodes(scene, view, 1)) if "reach" in needs else None
+        reach = find_reach_of_nodes(scene, bare_nodes(scene, view, 1)) if "reach" in needs else None
     if scene.sun_is_up:
-        _, seen = lit_nodes(CoarsePixels(scene, plan, view.grid, 1, bare=True), view, CASTERS_PASS in plan.runs, log)
+        _, seen = lit_nodes(Supersampling(scene, plan, view.grid, 1, heights_only=True), view, CASTERS_PASS in plan.runs, log)
         lit = seen[SUN] & ground.there
         with log.run(ATTACHED_PASS):
             rim = rim_points(scene, view)
@@ -52,14 +52,14 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
     return Picture(ground.there, (), visibility=visibility, reach=reach)
 
 
-@cached("scene", 448 * MIB, key=lambda scene, view: (scene.world, scene.elevation, view), most=1)
+@cached("scene", 448 * MIB, key=lambda scene, view: (scene.world, scene.elevation, view), max_entries=1)
 def rim_points(scene: Scene, view: MapView) -> GeometryBuffer | None:
     """Return the points of a map on the rim of its ground, or ``None``. They are cached for many suns in sequence."""
     ground = bare_ground(scene, view, None)
     rim = np.zeros((view.rows, view.cols), np.bool_) if ground is None else _rim(scene, view) & ground.there
     if ground is None or not rim.any():
         return None
-    return map_geometry(scene.surface(view.grid), view, ground.frame, wanted=rim)
+    return map_geometry(scene.surface(view.grid), view, ground.frame, pixel_mask=rim)
 
 
 def _rim(scene: Scene, view: MapView) -> np.ndarray:

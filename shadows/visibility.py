@@ -13,10 +13,10 @@ from skugga.shadows.passes import ATTACHED_PASS, PassLog
 from skugga.shadows.plan import Plan, Step
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.casters.reach import Casters
-from skugga.terrain.compiled import compiled, in_shares
-from skugga.terrain.effects.haze import hides_beyond_m
+from skugga.terrain.compiled import compiled, run_in_chunks
+from skugga.terrain.effects.haze import hiding_distance_m
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.smooth_ground import on_smooth_ground
+from skugga.terrain.gbuffer.smooth_ground import move_to_smooth_ground
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
@@ -47,7 +47,7 @@ def receivers_of(buffer: GeometryBuffer, scene: Scene, light: str) -> GeometryBu
     """Return a buffer whose points are the receivers: the points at which algorithms fill a light's visibility."""
     if light == SUN and not scene.sun_is_up:
         return buffer
-    return on_smooth_ground(buffer, scene.light_position(light, buffer.frame))
+    return move_to_smooth_ground(buffer, scene.light_position(light, buffer.frame))
 
 
 def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Casters, log: PassLog) -> dict[str, np.ndarray]:
@@ -69,11 +69,11 @@ def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effe
     """
     if "haze" not in effects or light != SUN or isinstance(buffer.view, MapView):
         return buffer
-    limit_m = hides_beyond_m(scene, buffer.view)
+    limit_m = hiding_distance_m(scene, buffer.view)
     if np.isinf(limit_m):
         return buffer
     near = np.empty(buffer.there.shape, np.bool_)
-    in_shares(len(near), _nearer, buffer.there, buffer.position_frame_m, buffer.view.in_frame(buffer.frame)[0], limit_m, near)
+    run_in_chunks(len(near), _nearer, buffer.there, buffer.position_frame_m, buffer.view.in_frame(buffer.frame)[0], limit_m, near)
     return buffer if np.array_equal(near, buffer.there) else replace(buffer, there=near)
 
 

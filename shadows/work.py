@@ -17,8 +17,8 @@ import numpy as np
 
 from skugga.terrain.facts.descriptor import Descriptor, LightKind
 from skugga.terrain.facts.fact_types import CasterFacts, LightFacts
-from skugga.terrain.gbuffer.antialias import SIDE, samples_per_pixel
-from skugga.terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
+from skugga.terrain.gbuffer.antialias import SAMPLES_PER_SIDE, samples_per_pixel
+from skugga.terrain.gbuffer.ground_mesh import MAX_UNDECIMATED_TRIANGLES
 from skugga.terrain.level.level import SUN, CasterKind
 
 Counts = dict[str, float]
@@ -36,8 +36,8 @@ UNKNOWN_LIGHT = LightFacts()
 
 def is_decimated(descriptor: Descriptor) -> bool:
     """Return whether the ground of a perspective view is known to be drawn with fewer triangles than its nodes make."""
-    relief = next((its for its in descriptor.stands if its.kind == "relief"), None)
-    return relief is not None and 2 * (relief.nodes or 0) > WHOLE_TRIANGLES
+    relief = next((facts for facts in descriptor.stands if facts.kind == "relief"), None)
+    return relief is not None and 2 * (relief.nodes or 0) > MAX_UNDECIMATED_TRIANGLES
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Workload:
     @property
     def picture_pixels(self) -> float:
         """Pixels of these pictures."""
-        return self.descriptor.pixels * (1.0 + (SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
+        return self.descriptor.pixels * (1.0 + (SAMPLES_PER_SIDE**2 if self.descriptor.edge_share > 0.0 else 0.0))
 
     @property
     def seen(self) -> float:
@@ -96,7 +96,7 @@ class Workload:
         return self.seen * self.facts.facing_share
 
     @cached_property
-    def turned_away(self) -> float:
+    def facing_away_share(self) -> float:
         """The share of the ground that faces away from the light.
 
         The visible share underestimates it, since an eye sees few far sides. Under the sun, gradients are assumed to be normally
@@ -111,16 +111,16 @@ class Workload:
 
     def caster_facts(self, kind: CasterKind) -> CasterFacts | None:
         """Return the facts of a kind of casters; ``None`` if the step does not serve it, or the level has none."""
-        return next((its for its in self.descriptor.stands if its.kind == kind and kind in self.kinds), None)
+        return next((facts for facts in self.descriptor.stands if facts.kind == kind and kind in self.kinds), None)
 
     def triangles(self, kind: CasterKind) -> float:
-        its = self.caster_facts(kind)
-        return 0.0 if its is None else float(its.triangles)
+        facts = self.caster_facts(kind)
+        return 0.0 if facts is None else float(facts.triangles)
 
     @property
     def outside_triangles(self) -> float:
-        its = self.caster_facts("relief")
-        return 0.0 if its is None else float(its.outside_triangles)
+        facts = self.caster_facts("relief")
+        return 0.0 if facts is None else float(facts.outside_triangles)
 
     @property
     def decimated(self) -> bool:
@@ -152,8 +152,8 @@ class Workload:
 
     @property
     def trees(self) -> float:
-        its = self.caster_facts("forest")
-        return 0.0 if its is None else float(its.count)
+        facts = self.caster_facts("forest")
+        return 0.0 if facts is None else float(facts.count)
 
     @cached_property
     def level_light_m2(self) -> float:
@@ -161,7 +161,7 @@ class Workload:
         extent_m = self.descriptor.receivers_light_m
         if self.light == SUN and extent_m is not None:
             return max(extent_m[0] * extent_m[1] / max(self.facts.area_share, 1e-6), 1e-6)
-        lamp = next(its for its in self.descriptor.lamps if its.name == self.light)
+        lamp = next(lamp_facts for lamp_facts in self.descriptor.lamps if lamp_facts.name == self.light)
         across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
         return max(across_m**2, 1e-6)
 
@@ -180,11 +180,11 @@ class Workload:
     @property
     def tree_light_m2(self) -> float:
         """The area of a tree as a box, seen from the light, square metres; 0 without trees."""
-        its = self.caster_facts("forest")
-        if its is None or its.height_m is None or its.width_m is None:
+        facts = self.caster_facts("forest")
+        if facts is None or facts.height_m is None or facts.width_m is None:
             return 0.0
         rise = radians((self.descriptor.sun_altitude_deg or 0.0) if self.light == SUN else 45.0)
-        return its.width_m * (its.height_m * cos(rise) + its.width_m * sin(rise))
+        return facts.width_m * (facts.height_m * cos(rise) + facts.width_m * sin(rise))
 
     def trees_within(self, light_m2: float) -> float:
         """Return the number of trees that are drawn for an area across the light."""

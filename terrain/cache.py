@@ -22,7 +22,7 @@ import numpy as np
 P = ParamSpec("P")
 V = TypeVar("V")
 
-Lasts = Literal["light", "scene", "process"]
+CacheLifetime = Literal["light", "scene", "process"]
 """How long the entries of a cache stay valid.
 
 - ``light``: until the light moves, or anything else that the value depends on and that changes from frame to frame.
@@ -39,22 +39,22 @@ _caches: weakref.WeakSet[Any] = weakref.WeakSet()
 class IdentityKey(weakref.ref[Any]):
     """A weak reference that is hashed and compared by the identity of its object. It serves as a cache key."""
 
-    __slots__ = ("number",)
-    number: int
+    __slots__ = ("object_id",)
+    object_id: int
 
-    def __new__(cls, of: object, gone: Callable[[Any], None] | None = None) -> IdentityKey:
-        self = super().__new__(cls, of, gone)
-        self.number = id(of)
+    def __new__(cls, of: object, on_collected: Callable[[Any], None] | None = None) -> IdentityKey:
+        self = super().__new__(cls, of, on_collected)
+        self.object_id = id(of)
         return self
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, IdentityKey) and self() is not None and self() is other()
 
     def __hash__(self) -> int:
-        return self.number
+        return self.object_id
 
 
-def _by_identity(part: object) -> bool:
+def _is_compared_by_identity(part: object) -> bool:
     """Return whether a part of a key is compared by identity: an array, or an instance of a class without ``__eq__`` of its own."""
     kind = type(part)
     return kind is np.ndarray or (kind.__hash__ is object.__hash__ and kind.__weakrefoffset__ > 0 and kind is not _Function)
@@ -63,9 +63,9 @@ def _by_identity(part: object) -> bool:
 _Function = type(lambda: None)
 
 
-def _key_of(parts: Iterable[object], gone: Callable[[Any], None] | None = None) -> tuple[Hashable, ...]:
-    """Return the cache key of some parts. ``gone`` is called when a part that is compared by identity is collected."""
-    return tuple(IdentityKey(part, gone) if _by_identity(part) else part for part in parts)
+def _key_of(parts: Iterable[object], on_collected: Callable[[Any], None] | None = None) -> tuple[Hashable, ...]:
+    """Return the cache key of some parts. ``on_collected`` is called when a part that is compared by identity is collected."""
+    return tuple(IdentityKey(part, on_collected) if _is_compared_by_identity(part) else part for part in parts)
 
 
 class Missing:
@@ -90,20 +90,20 @@ class Cache(Generic[V]):
         Returns the bytes of a value. Default: ``bytes_of``.
     release
         Called with each evicted value. The newest value is never evicted to make room, because its caller uses it.
-    most
+    max_entries
         Upper bound of the number of entries.
     """
 
     def __init__(
         self,
         name: str,
-        lifetime: Lasts,
+        lifetime: CacheLifetime,
         limit_bytes: int,
         size_of: Callable[[V], int] | None = None,
         release: Callable[[V], None] | None = None,
-        most: int | None = None,
+        max_entries: int | None = None,
     ) -> None:
-        self.name, self.lifetime, self.limit_bytes, self.most = name, lifetime, limit_bytes, most
+        self.name, self.lifetime, self.limit_bytes, self.max_entries = name, lifetime, limit_bytes, max_entries
         self.nbytes = 0
         self._size_of = size_of or bytes_of
         self._release = release
@@ -123,11 +123,11 @@ class Cache(Generic[V]):
         """Return the value of a key, or ``MISSING``."""
         key = _key_of(parts)
         with _lock:
-            found = self._values.get(key)
-            if found is None:
+            entry = self._values.get(key)
+            if entry is None:
                 return MISSING
             self._values.move_to_end(key)
-            return found[0]
+            return entry[0]
 
     def put(self, *parts: object, value: V) -> None:
         """Store a value under a key. Evict the least recently used entries until the limits hold."""
@@ -141,13 +141,13 @@ class Cache(Generic[V]):
             self.nbytes += size
             while self.nbytes > self.limit_bytes and len(self._values) > 1:
                 self._drop(next(iter(self._values)))
-            if self.most is not None:
-                self.trim(self.most)
+            if self.max_entries is not None:
+                self.trim(self.max_entries)
 
-    def trim(self, most: int) -> None:
-        """Evict all entries except the ``most`` that were used last."""
+    def trim(self, max_entries: int) -> None:
+        """Evict all entries except the ``max_entries`` that were used last."""
         with _lock:
-            while len(self._values) > most:
+            while len(self._values) > max_entries:
                 self._drop(next(iter(self._values)))
 
     def drop(self, *parts: object) -> None:
@@ -161,33 +161,33 @@ class Cache(Generic[V]):
             while self._values:
                 self._drop(next(iter(self._values)))
 
-    def clear_of(self, owner: object) -> None:
+    def evict_owned_by(self, owner: object) -> None:
         """Evict the entries that were computed from an object, or from one whose ``elevation`` it is (as a scene's)."""
         with _lock:
             for key in list(self._values):
-                made_from = [part() for part in key if isinstance(part, IdentityKey)]
-                if any(each is owner or getattr(each, "elevation", None) is owner for each in made_from):
+                sources = [part() for part in key if isinstance(part, IdentityKey)]
+                if any(each is owner or getattr(each, "elevation", None) is owner for each in sources):
                     self._drop(key)
 
     def _key(self, parts: Iterable[object]) -> tuple[Hashable, ...]:
         """Return a key whose entry is evicted as soon as one of its parts is collected."""
-        held: list[tuple[Hashable, ...]] = []
+        key_holder: list[tuple[Hashable, ...]] = []
         cache_ref = weakref.ref(self)
 
-        def gone(_: object) -> None:
+        def on_collected(_: object) -> None:
             cache = cache_ref()
-            if cache is not None and held and not sys.is_finalizing():
+            if cache is not None and key_holder and not sys.is_finalizing():
                 with _lock:
-                    cache._drop(held[0])
+                    cache._drop(key_holder[0])
 
-        key = _key_of(parts, gone)
-        held.append(key)
+        key = _key_of(parts, on_collected)
+        key_holder.append(key)
         return key
 
     def _drop(self, key: tuple[Hashable, ...]) -> None:
-        found = self._values.pop(key, None)
-        if found is not None:
-            value, size = found
+        entry = self._values.pop(key, None)
+        if entry is not None:
+            value, size = entry
             self.nbytes -= size
             if self._release is not None:
                 self._release(value)
@@ -203,32 +203,34 @@ class CachedFunction(Generic[P, V]):
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> V:
         parts = self._key(*args, **kwargs) if self._key is not None else (*args, *sorted(kwargs.items()))
-        found = self.cache.get(*parts)
-        if isinstance(found, Missing):
-            found = self._function(*args, **kwargs)
-            self.cache.put(*parts, value=found)
-        return found
+        result = self.cache.get(*parts)
+        if isinstance(result, Missing):
+            result = self._function(*args, **kwargs)
+            self.cache.put(*parts, value=result)
+        return result
 
 
 def cached(
-    lifetime: Lasts,
+    lifetime: CacheLifetime,
     limit_bytes: int,
     key: Callable[..., tuple[object, ...]] | None = None,
     size_of: Callable[[Any], int] | None = None,
-    most: int | None = None,
+    max_entries: int | None = None,
 ) -> Callable[[Callable[P, V]], CachedFunction[P, V]]:
     """Return a decorator that caches a function's results.
 
     Parameters
     ----------
-    lifetime, limit_bytes, size_of, most
+    lifetime, limit_bytes, size_of, max_entries
         As in ``Cache``. The cache is named after the function.
     key
         Returns the cache key for the function's arguments. Default: all arguments.
     """
 
     def decorate(function: Callable[P, V]) -> CachedFunction[P, V]:
-        cache: Cache[V] = Cache(f"{function.__module__}.{function.__qualname__}", lifetime, limit_bytes, size_of, most=most)
+        cache: Cache[V] = Cache(
+            f"{function.__module__}.{function.__qualname__}", lifetime, limit_bytes, size_of, max_entries=max_entries
+        )
         return CachedFunction(function, cache, key)
 
     return decorate
@@ -237,19 +239,19 @@ def cached(
 def register_cache(cache: Any) -> None:
     """Register an object of another class with the caches of this process.
 
-    It needs ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, ``__len__``, ``clear`` and ``clear_of`` as ``Cache`` has them.
+    It needs ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, ``__len__``, ``clear`` and ``evict_owned_by`` as ``Cache`` has them.
     """
     with _lock:
         _caches.add(cache)
 
 
-def caches(*lifetime: Lasts) -> list[Cache[Any]]:
+def caches(*lifetime: CacheLifetime) -> list[Cache[Any]]:
     """Return the caches of this process with one of some lifetimes (default: all of them), sorted by name."""
     with _lock:
         return sorted((cache for cache in _caches if not lifetime or cache.lifetime in lifetime), key=lambda cache: cache.name)
 
 
-def clear_caches(*lifetime: Lasts) -> None:
+def clear_caches(*lifetime: CacheLifetime) -> None:
     """Empty the caches with one of some lifetimes (default: all caches).
 
     ``clear_caches("light")`` makes the next frame pay all costs of a moving sun. ``clear_caches("light", "scene")`` discards
@@ -262,15 +264,15 @@ def clear_caches(*lifetime: Lasts) -> None:
 def clear_scene_caches(elevation: object) -> None:
     """Evict the entries that were computed from an elevation or from an object that has it. Other scenes' entries stay."""
     for cache in caches("light", "scene"):
-        cache.clear_of(elevation)
+        cache.evict_owned_by(elevation)
 
 
 def bytes_of(value: object) -> int:
     """Estimate the bytes of a value and of all objects that it references."""
     seen: set[int] = set()
-    todo, total = [value], 0
-    while todo:
-        each = todo.pop()
+    pending, total = [value], 0
+    while pending:
+        each = pending.pop()
         if each is None or id(each) in seen:
             continue
         seen.add(id(each))
@@ -280,9 +282,9 @@ def bytes_of(value: object) -> int:
             continue
         total += sys.getsizeof(each)
         if isinstance(each, dict):
-            todo += [*each.keys(), *each.values()]
+            pending += [*each.keys(), *each.values()]
         elif isinstance(each, list | tuple | set | frozenset):
-            todo += each
+            pending += each
         elif hasattr(each, "__dict__") and not isinstance(each, type | _Function):
-            todo += vars(each).values()
+            pending += vars(each).values()
     return total

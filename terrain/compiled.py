@@ -10,7 +10,7 @@ from typing import Any, ParamSpec, TypeVar
 import numba
 from numba.core.dispatcher import Dispatcher
 
-from skugga.terrain.compiling.internal import InternalCompiler, hide_from_python
+from skugga.terrain.compiling.internal import InternalCompiler, forbid_python_calls
 from skugga.terrain.compiling.loop_cache import LoopCache
 from skugga.terrain.cores import usable_cores
 
@@ -21,7 +21,7 @@ T = TypeVar("T")
 CORES = int(os.environ.get("NUMBA_NUM_THREADS", "0")) or usable_cores()
 """Threads that this process shares its loops out to."""
 
-ROW_SHARES = 3
+CHUNKS_PER_CORE = 3
 """Chunks of rows per thread. More than one balances the load, since some rows take longer than others."""
 
 
@@ -51,11 +51,11 @@ def internal(function: Callable[P, R]) -> Callable[P, R]:
     loop = numba.njit(**options)(function)
     if isinstance(loop, Dispatcher):
         vars(loop)["_cache"] = LoopCache(loop, is_stored=False)
-        hide_from_python(loop)
+        forbid_python_calls(loop)
     return loop
 
 
-def in_shares(rows: int, loop: Callable[..., Any], *args: Any) -> None:
+def run_in_chunks(rows: int, loop: Callable[..., Any], *args: Any) -> None:
     """Call ``loop(first, last, *args)`` for chunks of rows on all cores. A compiled loop releases the GIL while it runs.
 
     The loop itself must not call this function: it would deadlock, waiting for the threads that it occupies.
@@ -63,17 +63,17 @@ def in_shares(rows: int, loop: Callable[..., Any], *args: Any) -> None:
     if CORES == 1 or rows < 2 * CORES:
         loop(0, rows, *args)
         return
-    ends = [rows * n // (ROW_SHARES * CORES) for n in range(ROW_SHARES * CORES + 1)]
+    ends = [rows * n // (CHUNKS_PER_CORE * CORES) for n in range(CHUNKS_PER_CORE * CORES + 1)]
     shares = [(first, last) for first, last in zip(ends, ends[1:], strict=False) if last > first]
     for share in [_threads().submit(loop, first, last, *args) for first, last in shares]:
         share.result()
 
 
-def on_cores(work: Callable[[T], R], parts: Iterable[T], cores: int = CORES) -> list[R]:
+def map_on_cores(work: Callable[[T], R], parts: Iterable[T], cores: int = CORES) -> list[R]:
     """Return ``work(part)`` of all parts, computed on several cores. With one core it runs in this thread.
 
-    Use ``in_shares`` for the rows of a loop. Here the caller cuts the parts, and the threads end with the call. ``work`` itself may
-    call ``in_shares``.
+    Use ``run_in_chunks`` for the rows of a loop. Here the caller cuts the parts, and the threads end with the call. ``work`` itself may
+    call ``run_in_chunks``.
     """
     if cores == 1:
         return [work(part) for part in parts]

@@ -14,15 +14,15 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.clip_space import bend_px
 from skugga.terrain.casters.reach import overview_on_grid
 from skugga.terrain.effects import EFFECTS
-from skugga.terrain.effects.lamps import reaching_lamps
+from skugga.terrain.effects.lamps import visible_lamps
 from skugga.terrain.facts.caster_facts import caster_facts_of, slopes_deg, trees_of
 from skugga.terrain.facts.coarse_view import CoarseView, coarse_view_of
 from skugga.terrain.facts.descriptor import Descriptor, join_bands
 from skugga.terrain.facts.fact_types import Band, Fact, LampFacts
 from skugga.terrain.facts.light_facts import MIN_DISTANCE_M, ViewProbes, facts_of_lights
 from skugga.terrain.facts.visible_points import edge_share, ground_points, probes_in_map, probes_in_view
-from skugga.terrain.gbuffer.covered_nodes import PixelsShow, drawn_view, ground_pixels, halvings
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh
+from skugga.terrain.gbuffer.supersampling import PixelSampling, ground_pixels, subdivision_level, supersampled_view
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, step_at_anchor_m
 from skugga.terrain.ground.elevation import Elevation
@@ -30,16 +30,18 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 
 
-def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", pixels_show: PixelsShow = "means") -> Descriptor:
+def describe(
+    scene: Scene, view: MapView | PerspectiveView, name: str = "map", pixel_sampling: PixelSampling = "means"
+) -> Descriptor:
     """Return the descriptor of a view of a scene.
 
     A coarse map has the descriptor of the finer map whose pixels it averages.
     """
-    pieces = 1 if pixels_show == "points" or not isinstance(view, MapView) else 2 ** halvings(scene, view)
-    drawn = drawn_view(scene, view, pixels_show)
+    pieces = 1 if pixel_sampling == "points" or not isinstance(view, MapView) else 2 ** subdivision_level(scene, view)
+    drawn = supersampled_view(scene, view, pixel_sampling)
     low, high = scene.height_range_m
     coarse_view = None if isinstance(view, MapView) else coarse_view_of(scene, view)
-    reaching = reaching_lamps(scene, view, coarse_view)
+    reaching = visible_lamps(scene, view, coarse_view)
     lamps = tuple(
         LampFacts(
             name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m,
@@ -49,34 +51,34 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", p
     )  # fmt: skip
     effects = scene.loaded.level.effects
     all_lamps = effects != "auto" and effects.get("lamps") == "on"
-    looked_at = [lamp.name for lamp in lamps if lamp.reaches or all_lamps]
+    lamp_names = [lamp.name for lamp in lamps if lamp.reaches or all_lamps]
     mean_deg, p95_deg, highest_deg = slopes_deg(scene.world, scene.elevation)
     trees = trees_of(scene, drawn)
     if isinstance(drawn, MapView):
-        own = _map_facts(scene, drawn)
+        view_facts = _map_facts(scene, drawn)
         if pieces > 1 and isinstance(view, MapView):
             shown_pixels = min(min(view.rows, BLOCK_PX) * min(view.cols, BLOCK_PX), ground_pixels(scene, view))
-            own["pixels"] = max(int(shown_pixels * pieces**2), 1)
-        seen = ViewProbes(scene, None, probes_in_map(scene, own["pixel_m"], trees), trees)
+            view_facts["pixels"] = max(int(shown_pixels * pieces**2), 1)
+        probes = ViewProbes(scene, None, probes_in_map(scene, view_facts["pixel_m"], trees), trees)
         rows, cols = min(drawn.rows, BLOCK_PX), min(drawn.cols, BLOCK_PX)
     else:
         assert coarse_view is not None and isinstance(view, PerspectiveView)
-        own = _perspective_facts(scene, view, coarse_view)
-        seen, rows, cols = ViewProbes(scene, view, probes_in_view(coarse_view, view, trees), trees), view.rows, view.cols
+        view_facts = _perspective_facts(scene, view, coarse_view)
+        probes, rows, cols = ViewProbes(scene, view, probes_in_view(coarse_view, view, trees), trees), view.rows, view.cols
     return Descriptor(
         view=name, flat_world=scene.world.flat, casters=scene.objects.kinds, lamps=lamps, relief_m=high - low,
         rows=rows, cols=cols, edge_share=0.0 if coarse_view is None else edge_share(coarse_view, trees),
-        pieces=pieces, stands=caster_facts_of(scene, drawn, trees), moves=bool(scene.loaded.level.movers),
+        pieces=pieces, stands=caster_facts_of(scene, drawn, trees), moves=bool(scene.loaded.level.moving_keys),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.objects.tallest_m, weather=scene.loaded.level.weather,
-        lights=facts_of_lights(seen, _area_share(scene, own["receivers_light_m"]), looked_at),
-        facts={key: _known(effect.facts(scene, view, coarse_view)) for key, effect in EFFECTS.items() if effect.facts is not None},
-        **own,
+        lights=facts_of_lights(probes, _area_share(scene, view_facts["receivers_light_m"]), lamp_names),
+        facts={key: _nan_to_none(effect.facts(scene, view, coarse_view)) for key, effect in EFFECTS.items() if effect.facts is not None},
+        **view_facts,
     )  # fmt: skip
 
 
-def _known(facts: dict[str, Fact]) -> dict[str, Fact]:
+def _nan_to_none(facts: dict[str, Fact]) -> dict[str, Fact]:
     """Return an effect's facts with ``None`` instead of NaN, such as for the difference of two shadows of infinite length."""
     return {key: None if isinstance(fact, float) and np.isnan(fact) else fact for key, fact in facts.items()}
 
@@ -101,15 +103,17 @@ def _map_facts(scene: Scene, view: MapView) -> dict[str, Any]:
 
 
 def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> dict[str, Any]:
-    points, away_m = coarse_view.points_frame_m, coarse_view.away_m
-    median_m = float(np.median(away_m)) if len(points) else 1.0
+    points, distance_m = coarse_view.points_frame_m, coarse_view.distance_m
+    median_m = float(np.median(distance_m)) if len(points) else 1.0
     bands: tuple[Band, ...] = ()
     extent = None
     if scene.light is not None:
         rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
         reach = _reach_at_distance_1(view, rotation @ coarse_view.buffer.frame.frame_from_earth)
-        seen = _SeenInLight(points @ rotation.T + translation, coarse_view.eye_frame_m @ rotation.T + translation, *reach)
-        bands = _bands(away_m, seen, scene.objects.tallest_m, coarse_view.spacing)
+        visible = _VisiblePointsInLight(
+            points @ rotation.T + translation, coarse_view.eye_frame_m @ rotation.T + translation, *reach
+        )
+        bands = _bands(distance_m, visible, scene.objects.tallest_m, coarse_view.spacing)
         all_bands = join_bands(bands) if bands else None
         span = (
             np.full(3, median_m * view.pixel) if all_bands is None else np.subtract(all_bands.high_light_m, all_bands.low_light_m)
@@ -124,7 +128,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
 
 
 @dataclass(frozen=True, eq=False)
-class _SeenInLight:
+class _VisiblePointsInLight:
     """The visible points in light space.
 
     Attributes
@@ -161,14 +165,14 @@ def _reach_at_distance_1(view: PerspectiveView, light_from_earth: np.ndarray) ->
     return -low, high
 
 
-def _bands(away_m: np.ndarray, seen: _SeenInLight, tallest_m: float, slack: float) -> tuple[Band, ...]:
+def _bands(distance_m: np.ndarray, visible: _VisiblePointsInLight, tallest_m: float, spacing_share: float) -> tuple[Band, ...]:
     """Return the distance bands of the visible points, by their distances (n,).
 
-    ``slack`` is the spacing of the points as a share of their distance. Objects on the ground may rise by ``tallest_m``, within the
+    ``spacing_share`` is the spacing of the points as a share of their distance. Objects on the ground may rise by ``tallest_m``, within the
     view's extent at that distance.
     """
-    light_m = seen.points_m
-    octave = np.ceil(np.log2(np.maximum(away_m, MIN_DISTANCE_M))).astype(int)
+    light_m = visible.points_m
+    octave = np.ceil(np.log2(np.maximum(distance_m, MIN_DISTANCE_M))).astype(int)
     order = np.argsort(octave, kind="stable")
     first = np.flatnonzero(np.diff(octave[order], prepend=octave.min(initial=0) - 1))
     if not len(first):
@@ -177,9 +181,9 @@ def _bands(away_m: np.ndarray, seen: _SeenInLight, tallest_m: float, slack: floa
     lows, highs = (end.reduceat(light_m[order], first, axis=0) for end in (np.minimum, np.maximum))
     bands = []
     for number, share, low, high in zip(octave[order][first].tolist(), shares.tolist(), lows, highs, strict=True):
-        beside_m, higher_m = slack * 2.0**number, tallest_m * np.array([0.0, 1.0, 1.0])
-        low = np.maximum(low - higher_m, np.minimum(low, seen.eye_m + 2.0**number * seen.low)) - beside_m
-        high = np.minimum(high + higher_m, np.maximum(high, seen.eye_m + 2.0**number * seen.high)) + beside_m
+        margin_m, objects_m = spacing_share * 2.0**number, tallest_m * np.array([0.0, 1.0, 1.0])
+        low = np.maximum(low - objects_m, np.minimum(low, visible.eye_m + 2.0**number * visible.low)) - margin_m
+        high = np.minimum(high + objects_m, np.maximum(high, visible.eye_m + 2.0**number * visible.high)) + margin_m
         bounds = {"low_light_m": tuple(low.tolist()), "high_light_m": tuple(high.tolist())}
         bands.append(Band(near_m=2.0 ** (number - 1), far_m=2.0**number, share=share, **bounds))
     return tuple(bands)
@@ -193,11 +197,11 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
     if scene.light is None:
         return None
     row, col, _ = overview_on_grid(scene.world, scene.elevation, view.grid)
-    known = np.isfinite(row) & np.isfinite(col)
-    widest = np.zeros(3)
-    if known.any():
+    valid = np.isfinite(row) & np.isfinite(col)
+    max_extent = np.zeros(3)
+    if valid.any():
         spans = []
-        for values, step in ((row[known], view.row_step), (col[known], view.col_step)):
+        for values, step in ((row[valid], view.row_step), (col[valid], view.col_step)):
             side = min(BLOCK_PX * step, float(np.ptp(values)) + 2.0 * 2**scene.elevation.overview.level)
             spans.append((np.linspace(values.min() + side / 2, max(values.max() - side / 2, values.min() + side / 2), 3), side))
         (mid_rows, height), (mid_cols, width) = spans
@@ -206,12 +210,12 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
         cols = (mid_cols[:, None] + across * width)[None, :, None, :]
         point, up = scene.world.ground(view.grid.crs, *np.broadcast_arrays(view.grid.x(cols), view.grid.y(rows)))
         points = scene.light.from_earth(point + middle * up).reshape(9, -1, 3)
-        known = np.isfinite(points).all(axis=2, keepdims=True)
-        ends = np.where(known, points, -np.inf).max(axis=1) - np.where(known, points, np.inf).min(axis=1)
-        widest = np.maximum(widest, ends.max(axis=0))
+        valid = np.isfinite(points).all(axis=2, keepdims=True)
+        ends = np.where(valid, points, -np.inf).max(axis=1) - np.where(valid, points, np.inf).min(axis=1)
+        max_extent = np.maximum(max_extent, ends.max(axis=0))
     altitude = np.radians(scene.light.altitude_deg)
-    widest += relief_m * np.array([0.0, abs(np.cos(altitude)), abs(np.sin(altitude))])
-    right, up, along = np.maximum(widest, step_at_anchor_m(scene.world, view.grid)).tolist()
+    max_extent += relief_m * np.array([0.0, abs(np.cos(altitude)), abs(np.sin(altitude))])
+    right, up, along = np.maximum(max_extent, step_at_anchor_m(scene.world, view.grid)).tolist()
     return right, up, along
 
 

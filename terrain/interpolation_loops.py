@@ -6,14 +6,14 @@ from skugga.terrain.compiled import internal
 
 
 @internal
-def smoothstep_of(share):
+def smoothstep_value(share):
     """Return 3 t^2 - 2 t^3 of a value t, clamped to [0, 1] first."""
     share = min(max(share, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 @internal
-def cell_before(place, count):
+def cell_interval(place, count):
     """Return the cell at or before a fractional index, the next cell, and the fraction of the way between them.
 
     The index runs from 0 to ``count`` - 1.

@@ -33,9 +33,9 @@ class LightPosition(NamedTuple):
     w: float
 
 
-def light_position(place_or_direction: np.ndarray, w: float) -> LightPosition:
+def light_position(vector: np.ndarray, w: float) -> LightPosition:
     """Return the homogeneous position of a light: of a position (3,) with w = 1, or of a direction (3,) with w = 0."""
-    x, y, z = (float(v) for v in place_or_direction)
+    x, y, z = (float(v) for v in vector)
     return LightPosition(x, y, z, w)
 
 
@@ -120,19 +120,19 @@ class LampRig:
 
     def at_second(self, seconds: float) -> Lamp:
         """Return the lamp at a second of the level's clock. A static lamp returns the same object each time."""
-        return self._lamp_at(seconds) if self.spec.moves else self._still
+        return self._lamp_at(seconds) if self.spec.moves else self._static_lamp
 
     @cached_property
-    def _still(self) -> Lamp:
+    def _static_lamp(self) -> Lamp:
         return self._lamp_at(0.0)
 
     def _lamp_at(self, seconds: float) -> Lamp:
-        spec, (position, up, _) = self.spec, _at(self.position, seconds)
+        spec, (position, up, _) = self.spec, _standpoint_at(self.position, seconds)
         forward, cutoff = -up, 180.0
         if self.target is not None:
-            to_target, cutoff = _at(self.target, seconds).point_earth_m - position, spec.cutoff
-            away_m = float(np.linalg.norm(to_target))
-            forward = to_target / away_m if away_m > LEAST_AIM_M else forward
+            to_target, cutoff = _standpoint_at(self.target, seconds).point_earth_m - position, spec.cutoff
+            distance_m = float(np.linalg.norm(to_target))
+            forward = to_target / distance_m if distance_m > LEAST_AIM_M else forward
         axes = axes_along(forward, up)
         return Lamp(self.name, spec.kind, position, axes, cutoff, spec.color, spec.intensity, self.reference_m, spec.radius)
 
@@ -144,23 +144,25 @@ def lamp_rig(name: str, spec: LightSpec, place: Geolocator, where: str) -> LampR
     under the ground, and for a spot that meets its target.
     """
     first_s = 0.0 if spec.motion is None else spec.motion.path[0].seconds
-    position = _placed(spec, "position", place, where)
-    standing = _at(position, first_s)
+    position = _standpoint_or_path(spec, "position", place, where)
+    standing = _standpoint_at(position, first_s)
     if spec.kind == "omni":
         return LampRig(name, spec, position, None, max(standing.above_ground_m, 1.0))
-    target = _placed(spec, "target", place, where)
-    reference_m = float(np.linalg.norm(_at(target, first_s).point_earth_m - standing.point_earth_m))
+    target = _standpoint_or_path(spec, "target", place, where)
+    reference_m = float(np.linalg.norm(_standpoint_at(target, first_s).point_earth_m - standing.point_earth_m))
     if spec.motion is None and not reference_m > LEAST_AIM_M:
         raise LevelError(f"{where}.target", spec.target, "a point other than the position")
-    _refuse_meeting(position, target, f"{where}.motion.path")
+    _check_distance(position, target, f"{where}.motion.path")
     return LampRig(name, spec, position, target, reference_m)
 
 
-def _placed(spec: LightSpec, key: Literal["position", "target"], place: Geolocator, where: str) -> Standpoint | GroundPath:
+def _standpoint_or_path(
+    spec: LightSpec, key: Literal["position", "target"], place: Geolocator, where: str
+) -> Standpoint | GroundPath:
     """Return the standpoint or the path of a light's position or target."""
-    stays: tuple[float, float, float] | None = getattr(spec, key)
-    if stays is not None:
-        return Standpoint(*place.above_ground(stays, f"{where}.{key}"), stays[2])
+    position: tuple[float, float, float] | None = getattr(spec, key)
+    if position is not None:
+        return Standpoint(*place.above_ground(position, f"{where}.{key}"), position[2])
     motion, name = spec.motion, f"{where}.motion.path"
     assert motion is not None
     keys = [(each.seconds, getattr(each, key)) for each in motion.path]
@@ -169,12 +171,12 @@ def _placed(spec: LightSpec, key: Literal["position", "target"], place: Geolocat
     return path
 
 
-def _refuse_meeting(position: Standpoint | GroundPath, target: Standpoint | GroundPath, name: str) -> None:
+def _check_distance(position: Standpoint | GroundPath, target: Standpoint | GroundPath, name: str) -> None:
     """Raise ``LevelError`` where a spot comes so near to its target that its direction is undefined."""
     path = position if isinstance(position, GroundPath) else target
     if not isinstance(path, GroundPath):
         return
-    seconds = path.seconds_along()
+    seconds = path.sample_times_s()
     points = [end.points_earth_m(seconds) if isinstance(end, GroundPath) else end.point_earth_m for end in (position, target)]
     meet = np.linalg.norm(points[1] - points[0], axis=-1) < LEAST_WAY_M
     if meet.any():
@@ -182,7 +184,7 @@ def _refuse_meeting(position: Standpoint | GroundPath, target: Standpoint | Grou
         raise LevelError(name, fault, f"Keep the light at least {LEAST_WAY_M} m from its target")
 
 
-def _at(where: Standpoint | GroundPath, seconds: float) -> Standpoint:
+def _standpoint_at(where: Standpoint | GroundPath, seconds: float) -> Standpoint:
     return where.at_second(seconds) if isinstance(where, GroundPath) else where
 
 

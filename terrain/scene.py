@@ -14,6 +14,7 @@ from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError, ProjError
 
 from skugga.terrain.cache import MIB, cached, clear_scene_caches
+from skugga.terrain.default_sun import default_sun
 from skugga.terrain.errors import InputError, LevelError, Problem, SourceError
 from skugga.terrain.geo.axes import axes_of, check_axes
 from skugga.terrain.geo.camera import PerspectiveView, look_at
@@ -35,9 +36,8 @@ from skugga.terrain.level.bundled import BUNDLED
 from skugga.terrain.level.level import SUN, LoadedLevel
 from skugga.terrain.level.parts import MapSpec, PerspectiveSpec, StyleSpec, SunSpec
 from skugga.terrain.lights import Lamp, LightPosition, light_position
-from skugga.terrain.own_sun import own_sun
 from skugga.terrain.scene_objects import SceneObjects
-from skugga.terrain.style import Style, style_of, styled
+from skugga.terrain.style import Style, style_of, style_spec
 
 if TYPE_CHECKING:
     from skugga.terrain.geo.light_space import LightSpace
@@ -55,7 +55,7 @@ UTM_WIDTH_DEG = 18.0
 MOST_AWAY_DEG = 0.05
 """Tolerance of a round trip into a CRS and back, in degrees. Datums differ by some hundred metres."""
 
-PLACES_A_SIDE = 33
+SAMPLES_PER_SIDE = 33
 """Sample points along a side that decide whether a map shows anything of a level."""
 
 
@@ -79,9 +79,9 @@ class Scene:
         Trees, meshes and lamps.
     seconds
         The time of the level's clock. Meshes, lamps and clouds have their positions of this time.
-    moved_lamps
+    lamp_overrides
         Lamps by name that replace the level's; empty for the level's own.
-    styled
+    style_spec
         The style that replaces the level's, or ``None``.
     sun_is_default
         Whether the level names no sun and no other sun was set.
@@ -93,8 +93,8 @@ class Scene:
     sun: Sun | None
     objects: SceneObjects
     seconds: float = 0.0
-    moved_lamps: Mapping[str, Lamp] = field(default_factory=dict)
-    styled: StyleSpec | None = None
+    lamp_overrides: Mapping[str, Lamp] = field(default_factory=dict)
+    style_spec: StyleSpec | None = None
     sun_is_default: bool = False
 
     @property
@@ -105,15 +105,15 @@ class Scene:
     @cached_property
     def lamps(self) -> dict[str, Lamp]:
         """The lights besides the sun by name."""
-        if self.moved_lamps:
-            return dict(self.moved_lamps)
+        if self.lamp_overrides:
+            return dict(self.lamp_overrides)
         return {name: rig.at_second(self.seconds) for name, rig in self.objects.lamp_rigs.items()}
 
     @cached_property
     def style(self) -> Style:
         """The style that shades the scene."""
         cell_m = self.elevation.cell_size_m(self.world.metres_per_unit)
-        return style_of(self.loaded.level, self.styled or self.loaded.level.style, cell_m, lambda: self.objects.crown_share)
+        return style_of(self.loaded.level, self.style_spec or self.loaded.level.style, cell_m, lambda: self.objects.crown_share)
 
     @property
     def light_names(self) -> tuple[str, ...]:
@@ -133,7 +133,7 @@ class Scene:
     @property
     def sun_is_up(self) -> bool:
         """Whether direct sunlight reaches any part of the level. False by night and under an overcast sky."""
-        return self.sun is not None and (self.highest_sun_deg or 0.0) > 0.0 and not self.loaded.level.weather.overcast
+        return self.sun is not None and (self.highest_sun_deg or 0.0) > 0.0 and not self.loaded.level.weather.is_overcast
 
     @cached_property
     def without_refraction(self) -> Scene:
@@ -151,7 +151,7 @@ class Scene:
 
         Returns the scene itself where the clock moves nothing.
         """
-        if seconds is None or seconds == self.seconds or not self.loaded.level.movers:
+        if seconds is None or seconds == self.seconds or not self.loaded.level.moving_keys:
             return self
         return replace(self, objects=self.objects.at_second(seconds), seconds=seconds)
 
@@ -164,13 +164,13 @@ class Scene:
 
         A style given by name does not use the level's ramp. Raises ``InputError``.
         """
-        own = self.loaded.level.style
-        wanted = styled(own, name, slope_exaggeration)
-        return self if wanted == own else replace(self, styled=wanted)
+        level_spec = self.loaded.level.style
+        spec = style_spec(level_spec, name, slope_exaggeration)
+        return self if spec == level_spec else replace(self, style_spec=spec)
 
     def with_lamp(self, lamp: Lamp) -> Scene:
         """Return the same scene with a lamp that replaces the one of its name."""
-        return replace(self, moved_lamps={**self.lamps, lamp.name: lamp})
+        return replace(self, lamp_overrides={**self.lamps, lamp.name: lamp})
 
     @cached_property
     def light(self) -> LightSpace | None:
@@ -238,14 +238,14 @@ class Scene:
         Longitude and latitude serve a level wider than ``UTM_WIDTH_DEG``, which fits no zone, and a level of another celestial
         body. The source's CRS does not serve if its axes do not run east and north.
         """
-        own = self.elevation.crs
-        if self.world.flat or (own.is_projected and axes_of(own).are_standard):
-            return own
+        source_crs = self.elevation.crs
+        if self.world.flat or (source_crs.is_projected and axes_of(source_crs).are_standard):
+            return source_crs
         if not self.world.on_earth:
-            return own if axes_of(own).are_standard else longitude_latitude_of(own)
+            return source_crs if axes_of(source_crs).are_standard else longitude_latitude_of(source_crs)
         west, _, east, _ = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
         if east - west > UTM_WIDTH_DEG:
-            return own if own.is_geographic and axes_of(own).are_standard else LONGITUDE_LATITUDE
+            return source_crs if source_crs.is_geographic and axes_of(source_crs).are_standard else LONGITUDE_LATITUDE
         lon = (self.world.anchor_lon_deg + 180.0) % 360.0 - 180.0
         lat = self.world.anchor_lat_deg
         if not -80.0 <= lat <= 84.0:
@@ -286,14 +286,14 @@ class Scene:
             raise InputError(error.name, error.value, error.allowed) from None
 
     def _perspective_view(
-        self, spec: PerspectiveSpec, size: tuple[int, int] | None, eye_is: str, target_is: str
+        self, spec: PerspectiveSpec, size: tuple[int, int] | None, eye_name: str, target_name: str
     ) -> PerspectiveView:
         width, height = size or spec.size
         if max(width, height) > MAX_PERSPECTIVE_PX:
             limit = f"{MAX_PERSPECTIVE_PX} pixels a side in a perspective view"
             raise InputError.over_limit("size", f"{width}x{height}", limit, "Use a smaller size")
-        eye, up = self.place.above_ground(spec.eye, eye_is)
-        target, _ = self.place.above_ground(spec.target, target_is)
+        eye, up = self.place.above_ground(spec.eye, eye_name)
+        target, _ = self.place.above_ground(spec.target, target_name)
         return look_at(eye, target, up, spec.fov, height, width)
 
     def _map_view(
@@ -313,7 +313,7 @@ class Scene:
             raise InputError("bounds", extent, f"coordinates below 1e9 in {target.name}, and pixels larger than their rounding")
         if target.is_geographic and not (-540 <= west and east <= 540 and -90.001 <= south and north <= 90.001):
             raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
-        if bounds is not None and not self.shows(target, extent):
+        if bounds is not None and not self.overlaps(target, extent):
             own = ",".join(f"{value:.9g}" for value in self.default_bounds(target))
             raise InputError("bounds", extent, f"bounds that overlap the level's, which are {own} in units of {target.name}")
         size = size or spec.size
@@ -324,15 +324,15 @@ class Scene:
             extent = west, south, east, north = west - wider, south - higher, east + wider, north + higher
         return map_view(self.world, target, extent, rows=size[1], cols=size[0])
 
-    def shows(self, crs: CRS, extent: tuple[float, float, float, float]) -> bool:
+    def overlaps(self, crs: CRS, extent: tuple[float, float, float, float]) -> bool:
         """Return whether an extent in a CRS meets the raster. Checks lattice points of each in the other."""
         west, south, east, north = extent
-        x, y = np.meshgrid(np.linspace(west, east, PLACES_A_SIDE), np.linspace(south, north, PLACES_A_SIDE))
+        x, y = np.meshgrid(np.linspace(west, east, SAMPLES_PER_SIDE), np.linspace(south, north, SAMPLES_PER_SIDE))
         with np.errstate(invalid="ignore"):
-            own = (x, y) if crs == self.elevation.crs else transformer(crs, self.elevation.crs).transform(x, y)
-            if self.elevation.covers(*own).any():
+            source_xy = (x, y) if crs == self.elevation.crs else transformer(crs, self.elevation.crs).transform(x, y)
+            if self.elevation.covers(*source_xy).any():
                 return True
-            rows, cols = (np.linspace(-0.5, count - 0.5, PLACES_A_SIDE) for count in (self.elevation.rows, self.elevation.cols))
+            rows, cols = (np.linspace(-0.5, count - 0.5, SAMPLES_PER_SIDE) for count in (self.elevation.rows, self.elevation.cols))
             x, y = self.elevation.xy(*np.meshgrid(rows, cols, indexing="ij"))
             x, y = (x, y) if crs == self.elevation.crs else transformer(self.elevation.crs, crs).transform(x, y)
             turns = (-360.0, 0.0, 360.0) if crs.is_geographic else (0.0,)
@@ -358,16 +358,16 @@ class Scene:
 
         That is a CRS of another celestial body, or one into which PROJ cannot transform the level's.
         """
-        own = self.elevation.crs
-        if crs == own:
+        source_crs = self.elevation.crs
+        if crs == source_crs:
             return
         try:
             if not self.world.flat and is_on_earth(crs) == self.world.on_earth:
-                transformer(own, crs), transformer(crs, LONGITUDE_LATITUDE)
+                transformer(source_crs, crs), transformer(crs, LONGITUDE_LATITUDE)
                 return
         except ProjError:
             pass
-        raise InputError(name, text or crs.name, f"a CRS into which PROJ can transform the level's CRS '{own.name}'")
+        raise InputError(name, text or crs.name, f"a CRS into which PROJ can transform the level's CRS '{source_crs.name}'")
 
     def default_bounds(self, crs: CRS) -> tuple[float, float, float, float]:
         """Return the bounds of the level's part in use in a CRS: west, south, east, north. Raises ``InputError``."""
@@ -387,7 +387,9 @@ class Scene:
 
     def _bounds_across(self, crs: CRS, bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
         """Return the bounds in a CRS of a level across the antimeridian. Raises ``InputError`` where the CRS ends there."""
-        lon, lat = np.meshgrid(np.linspace(bounds[0], bounds[2], PLACES_A_SIDE), np.linspace(bounds[1], bounds[3], PLACES_A_SIDE))
+        lon, lat = np.meshgrid(
+            np.linspace(bounds[0], bounds[2], SAMPLES_PER_SIDE), np.linspace(bounds[1], bounds[3], SAMPLES_PER_SIDE)
+        )
         places = np.stack(transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat))
         with np.errstate(invalid="ignore"):  # points outside of a CRS have infinite coordinates
             extent = np.ptp(places, axis=(1, 2))
@@ -404,24 +406,24 @@ def build_scene(loaded: LoadedLevel) -> Scene:
 
     Trees and meshes are read on first use. Raises ``LevelError``, ``SourceError`` or ``InputError``.
     """
-    terrain, made = loaded.level.terrain, None
+    terrain, generated = loaded.level.terrain, None
     if terrain.source is None:
         from skugga.terrain.ground.generated_ground import generated_ground
 
-        made = generated_ground(terrain)
+        generated = generated_ground(terrain)
     name = loaded.source or f"{loaded.path}: terrain"
     water_m = None if loaded.level.water is None else loaded.level.water.level
     elevation = Elevation(
-        name, terrain.units, terrain.exaggeration, terrain.resolution, made, water_m, terrain.surface, terrain.nodata,
+        name, terrain.units, terrain.exaggeration, terrain.resolution, generated, water_m, terrain.surface, terrain.nodata,
         terrain.positive,
     )  # fmt: skip
-    if terrain.surface == "blocks" and not elevation.upright:
+    if terrain.surface == "blocks" and not elevation.is_north_up:
         raise LevelError(
             f"{loaded.path}: terrain.surface", "blocks", "smooth, since the raster's rows do not run from west to east"
         )
     world = _world(loaded, elevation)
     sun_is_default = loaded.level.sun is None
-    loaded = with_own_sun(loaded, world, elevation)
+    loaded = with_default_sun(loaded, world, elevation)
     spec = loaded.level.sun
     sun = None if spec is None or spec == "none" else sun_of(spec, world)
     seconds = loaded.level.seconds
@@ -429,11 +431,11 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     return Scene(loaded, world, elevation, sun, objects, seconds, sun_is_default=sun_is_default)
 
 
-def with_own_sun(loaded: LoadedLevel, world: World, elevation: Elevation) -> LoadedLevel:
+def with_default_sun(loaded: LoadedLevel, world: World, elevation: Elevation) -> LoadedLevel:
     """Return the level with a default sun if it names none."""
     if loaded.level.sun is not None:
         return loaded
-    return loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": own_sun(world, elevation)})})
+    return loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": default_sun(world, elevation)})})
 
 
 @cached("process", MIB)
@@ -454,14 +456,14 @@ def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
         raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform") from None
 
 
-def _comes_back(crs: CRS, lon: float, lat: float) -> bool:
+def _round_trips(crs: CRS, lon: float, lat: float) -> bool:
     """Return whether a round trip into a CRS and back keeps a position. For a few CRSs PROJ forgets the prime meridian one way."""
     if is_longitude_latitude(crs):
         return True
-    there = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
-    again = transformer(crs, LONGITUDE_LATITUDE).transform(*there)
-    away_lon = (again[0] - lon + 180.0) % 360.0 - 180.0
-    return bool(max(abs(away_lon) * np.cos(np.radians(lat)), abs(again[1] - lat)) < MOST_AWAY_DEG)
+    projected = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
+    restored = transformer(crs, LONGITUDE_LATITUDE).transform(*projected)
+    away_lon = (restored[0] - lon + 180.0) % 360.0 - 180.0
+    return bool(max(abs(away_lon) * np.cos(np.radians(lat)), abs(restored[1] - lat)) < MOST_AWAY_DEG)
 
 
 def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
@@ -483,7 +485,7 @@ def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
             raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "bounds whose centre lies on the raster")
     else:
         lon, lat = (x, y) if is_longitude_latitude(crs) else transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-    if not (np.isfinite([lon, lat]).all() and _comes_back(crs, float(lon), float(lat))):
+    if not (np.isfinite([lon, lat]).all() and _round_trips(crs, float(lon), float(lat))):
         problem = f"PROJ cannot transform its CRS '{crs.name}' into longitude and latitude and back"
         raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform")
     return World(crs, False, float(x), float(y), float(lon), float(np.clip(lat, -90, 90)), metres)

@@ -114,10 +114,10 @@ class SceneObjects:
         """
         if self.solids is None:
             return np.zeros(0, np.float32)
-        from skugga.terrain.meshes.facets import creases, face_normals, faces_round
+        from skugga.terrain.meshes.facets import creases, face_normals, node_faces
 
         vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
-        faces, around = face_normals(vertices, triangles), faces_round(len(vertices), triangles)
+        faces, around = face_normals(vertices, triangles), node_faces(len(vertices), triangles)
         return creases(vertices, faces, triangles, around, CREASE_DISTANCE, np.ones(len(triangles), np.bool_))
 
     @cached_property
@@ -128,22 +128,22 @@ class SceneObjects:
     def solids_on(self, crs: CRS) -> np.ndarray:
         """Return x, y in a CRS and height in metres (n, 3) of the meshes' vertices."""
         assert self.solids is not None
-        return _on(self.world, self.solids.vertices_earth_m, crs)
+        return _map_positions(self.world, self.solids.vertices_earth_m, crs)
 
     def trees_on(self, crs: CRS) -> np.ndarray:
         """Return x, y in a CRS and height in metres (n, 3) of the trees' feet."""
         assert self.trees is not None
-        return _on(self.world, self.trees.base_earth_m, crs)
+        return _map_positions(self.world, self.trees.base_earth_m, crs)
 
     @cached_property
     def kinds(self) -> tuple[CasterKind, ...]:
         """The kinds of shadow casters in the level. The ground is always one."""
-        found: list[CasterKind] = ["relief"]
+        caster_kinds: list[CasterKind] = ["relief"]
         if self.solids is not None:
-            found.append("meshes")
+            caster_kinds.append("meshes")
         if self.trees is not None:
-            found.append("forest")
-        return tuple(found)
+            caster_kinds.append("forest")
+        return tuple(caster_kinds)
 
     @cached_property
     def crown_share(self) -> float:
@@ -165,5 +165,5 @@ class SceneObjects:
 
 
 @cached("scene", 512 * MIB)
-def _on(world: World, points_earth_m: np.ndarray, crs: CRS) -> np.ndarray:
+def _map_positions(world: World, points_earth_m: np.ndarray, crs: CRS) -> np.ndarray:
     return np.stack(world.map_position(crs, points_earth_m), axis=-1)

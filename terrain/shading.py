@@ -11,7 +11,7 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.climate import Ramp
-from skugga.terrain.compiled import in_shares
+from skugga.terrain.compiled import run_in_chunks
 from skugga.terrain.gbuffer.bare_ground import BareGround
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF
@@ -21,7 +21,7 @@ from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading_loops import (
-    LightHere,
+    DaylightInFrame,
     Look,
     Tints,
     albedo_rows,
@@ -95,7 +95,7 @@ def daylight_of(scene: Scene) -> Daylight:
     cover, style = scene.loaded.level.weather.cloud_cover, scene.style
     clear, grey = np.array(style.skylight) * LEVEL_GROUND * SKY_SHARE / (1.0 + SKY_SHARE), np.array(CLOUD_LIGHT) * OVERCAST_GROUND
     sun = np.array(style.sunlight) * exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
-    return Daylight(np.zeros(3) if scene.loaded.level.weather.overcast else sun, (1.0 - cover) * clear + cover * grey)
+    return Daylight(np.zeros(3) if scene.loaded.level.weather.is_overcast else sun, (1.0 - cover) * clear + cover * grey)
 
 
 def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None) -> Look:
@@ -107,10 +107,12 @@ def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | N
     style = scene.style
     clear = 0.0 if scene.sun is None else 1.0 - scene.loaded.level.weather.cloud_cover
     in_map = isinstance(view, MapView)
-    steeper = style.slope_exaggeration_at(map_pixel_m(scene.world, view)) if isinstance(view, MapView) else style.slope_exaggeration
+    exaggeration = (
+        style.slope_exaggeration_at(map_pixel_m(scene.world, view)) if isinstance(view, MapView) else style.slope_exaggeration
+    )
     return Look(
         tints_of(scene), NO_DIRECTION if frame is None else frame.directions_from_earth(NORTH_EARTH),
-        style.sky_greying * clear, style.sky_towards_sun * clear, style.terminator, steeper, style.slope_limit,
+        style.sky_greying * clear, style.sky_towards_sun * clear, style.terminator, exaggeration, style.slope_limit,
         veil_table(style.aerial if in_map and scene.sun is not None else 0.0, style.aerial_m),
         MAP_FOLIAGE if in_map else 1.0,
     )  # fmt: skip
@@ -128,17 +130,17 @@ def _tints(ramp: Ramp | None, has_climate: bool) -> Tints:
     channels = np.moveaxis(colors, -1, 0)
     table = np.stack([*channels, luminance_of(*channels)], axis=1)
     differ = (table[1:] != table[:-1]).any(axis=1)
-    from_on = np.where(differ.any(axis=1), differ.argmax(axis=1), TINT_COUNT)
-    return Tints(np.ascontiguousarray(table), from_on.astype(np.int32))
+    first_difference = np.where(differ.any(axis=1), differ.argmax(axis=1), TINT_COUNT)
+    return Tints(np.ascontiguousarray(table), first_difference.astype(np.int32))
 
 
-def in_shade(albedo: np.ndarray, look: Look) -> np.ndarray:
+def sky_lit_albedo(albedo: np.ndarray, look: Look) -> np.ndarray:
     """Return linear albedos (..., 3) as they appear in sky light: nearer to grey of the same luminance."""
     grey = np.asarray(luminance_of(albedo[..., 0], albedo[..., 1], albedo[..., 2]))[..., None]
     return albedo + look.sky_greying * (grey - albedo)
 
 
-def most_sky(scene: Scene) -> float:
+def max_sky_factor(scene: Scene) -> float:
     """Return the maximum factor of the sky's light on a slope, beyond its visible share: towards the sky's bright side."""
     return 1.0 + scene.style.sky_towards_sun * (np.sqrt(2.0) - 1.0)
 
@@ -172,17 +174,17 @@ def shade(
     if albedo is None:
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
     out = np.zeros((*buffer.there.shape, 3), np.float32)
-    in_shares(
-        len(out), shade_rows, buffer.shown, look_of(scene, buffer.view, buffer.frame), light_here(scene, buffer.frame),
-        scene.world.up_from(buffer.frame), LEAF_GLOW, albedo, sunlight, skylight, lamplight, out,
+    run_in_chunks(
+        len(out), shade_rows, buffer.shading_inputs, look_of(scene, buffer.view, buffer.frame), daylight_in_frame(scene, buffer.frame),
+        scene.world.up_origin(buffer.frame), LEAF_GLOW, albedo, sunlight, skylight, lamplight, out,
     )  # fmt: skip
     return out
 
 
-def light_here(scene: Scene, frame: LocalFrame) -> LightHere:
+def daylight_in_frame(scene: Scene, frame: LocalFrame) -> DaylightInFrame:
     """Return the daylight of a scene in a frame."""
     light, to_sun = daylight_of(scene), np.zeros(3) if scene.sun is None else scene.sun.in_frame(frame)
-    return LightHere(scene.sun is not None, to_sun, light.sun, light.sky, night_of(scene))
+    return DaylightInFrame(scene.sun is not None, to_sun, light.sun, light.sky, night_of(scene))
 
 
 def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.ndarray:
@@ -193,7 +195,7 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
     assert scene.sun is not None
     out = np.zeros((*ground.there.shape, 3), np.uint8)
     if ground.height_m.size:
-        light = light_here(scene, ground.frame)
+        light = daylight_in_frame(scene, ground.frame)
         shade_bare_ground(
             ground.there[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.sky_share,
             sunlight[ground.window], look_of(scene, ground.view, ground.frame), light, _srgb_table(),
@@ -205,8 +207,8 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
 def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the share of the sky (rows, cols) float32 that a slope itself leaves: a half if vertical, all of it if level."""
     out = np.zeros(buffer.there.shape, np.float32)
-    centre = scene.world.up_from(buffer.frame)
-    in_shares(len(out), slopes_sky, buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
+    centre = scene.world.up_origin(buffer.frame)
+    run_in_chunks(len(out), slopes_sky, buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
     return out
 
 
@@ -218,8 +220,8 @@ def night_of(scene: Scene) -> float:
 def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the linear albedo (rows, cols, 3) float32 of a buffer's points, with tint and water, as a new array."""
     albedo = np.zeros((*buffer.there.shape, 3), np.float32)
-    in_shares(
-        len(albedo), albedo_rows, buffer.shown, scene.world.up_from(buffer.frame), buffer.albedo,
+    run_in_chunks(
+        len(albedo), albedo_rows, buffer.shading_inputs, scene.world.up_origin(buffer.frame), buffer.albedo,
         look_of(scene, buffer.view, buffer.frame), albedo,
     )  # fmt: skip
     if scene.loaded.level.water is not None:
@@ -237,7 +239,7 @@ def srgb_encoded(linear: np.ndarray) -> np.ndarray:
     """Encode linear display colour in [0, 1] as sRGB, uint8."""
     out = np.empty(linear.shape, np.uint8)
     flat = np.ascontiguousarray(linear).reshape(-1)
-    in_shares(flat.size, encode_rows, flat, _srgb_table(), out.reshape(-1))
+    run_in_chunks(flat.size, encode_rows, flat, _srgb_table(), out.reshape(-1))
     return out
 
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
-from skugga.terrain.interpolation_loops import smoothstep_of
+from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
 
-SHOULDER, SHOULDER_LEFT = 0.6, 0.4
+SHOULDER, SHOULDER_RANGE = 0.6, 0.4
 """Linear colour at which the tone curve's shoulder begins, and the range from there to white."""
 
 LEAST_SKY = 0.3
@@ -38,7 +38,7 @@ It is a hundredth of a degree above the exact limit, since only some points of a
 HIGH_SUN_SINE = float(np.sin(np.radians(HIGH_SUN_DEG)))
 
 
-class LightHere(NamedTuple):
+class DaylightInFrame(NamedTuple):
     """Daylight in a frame.
 
     Attributes
@@ -121,7 +121,7 @@ def dusk_of(sine):
     if sine > HIGH_SUN_SINE:
         return 1.0
     altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0)))
-    return smoothstep_of((altitude + 12.0) / 18.0)
+    return smoothstep_value((altitude + 12.0) / 18.0)
 
 
 @compiled
@@ -130,7 +130,7 @@ def shoulder(linear):
 
     The curve is the identity up to ``SHOULDER`` and flattens from there on. Slopes that face a low sun keep their tint.
     """
-    return linear if linear <= SHOULDER else 1.0 - SHOULDER_LEFT**2 / (linear + SHOULDER_LEFT - SHOULDER)
+    return linear if linear <= SHOULDER else 1.0 - SHOULDER_RANGE**2 / (linear + SHOULDER_RANGE - SHOULDER)
 
 
 @compiled
@@ -150,24 +150,24 @@ def _on_slope(facing, upright, sine, exaggeration, limit):
         return facing, upright
     flat = np.sqrt(max(1.0 - upright * upright, 0.0))
     slope = exaggeration * flat / upright
-    steeper = exaggeration / np.sqrt(1.0 + slope * slope / (limit * limit))
-    slope = steeper * flat / upright
-    drawn = 1.0 / np.sqrt(1.0 + slope * slope)
-    return (facing - sine * upright) * steeper * drawn / upright + sine * drawn, drawn
+    factor = exaggeration / np.sqrt(1.0 + slope * slope / (limit * limit))
+    slope = factor * flat / upright
+    cosine = 1.0 / np.sqrt(1.0 + slope * slope)
+    return (facing - sine * upright) * factor * cosine / upright + sine * cosine, cosine
 
 
 @compiled
-def _sky_on_slope(facing, upright, sine, towards):
+def _sky_on_slope(facing, upright, sine, directional_share):
     """Return the factor of the sky's light on a slope; 1 on level ground.
 
-    The share ``towards`` of the light comes from 45 degrees above the horizon at the sun's azimuth.
+    The share ``directional_share`` of the light comes from 45 degrees above the horizon at the sun's azimuth.
     """
     across = (facing - sine * upright) / max(np.sqrt(max(1.0 - sine * sine, 0.0)), LEAST_ACROSS)
-    return max(1.0 + towards * (across + upright - 1.0), LEAST_SKY)
+    return max(1.0 + directional_share * (across + upright - 1.0), LEAST_SKY)
 
 
 @compiled
-def _towards_sun(facing, sine, terminator):
+def _direct_on_slope(facing, sine, terminator):
     """Return the direct light on a slope: Lambert's cosine, reduced near the terminator.
 
     The reduction begins where the cosine is below the share ``terminator`` of level ground's. Without it, facets of a raster that
@@ -179,7 +179,7 @@ def _towards_sun(facing, sine, terminator):
 
 
 @internal
-def _direct_at(sine):
+def _direct_fade(sine):
     """Return the factor of direct light, which fades in over the first degree of the sun's altitude at a place."""
     if sine > HIGH_SUN_SINE:
         return 1.0
@@ -205,7 +205,7 @@ def encode_rows(first, last, linear, table, out):
 
 
 @compiled
-def shade_rows(first, last, shown, look, light_here, centre, glow, albedo, sunlight, skylight, lamplight, out):
+def shade_rows(first, last, shown, look, daylight_in_frame, centre, glow, albedo, sunlight, skylight, lamplight, out):
     """Compute the linear display colour of some rows of a buffer.
 
     ``glow`` is the foliage's share of light (``LEAF_GLOW``).
@@ -213,8 +213,8 @@ def shade_rows(first, last, shown, look, light_here, centre, glow, albedo, sunli
     # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
     there, kind, position, height, normal = shown
     tints, north, greying, towards, terminator, exaggeration, limit, veils, foliage = look
-    has_sun, to_sun, sun, sky, night = light_here
-    as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
+    has_sun, to_sun, sun, sky, night = daylight_in_frame
+    has_true_slopes = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     for i in range(first, last):
         for j in range(there.shape[1]):
             if not there[i, j]:
@@ -230,16 +230,16 @@ def shade_rows(first, last, shown, look, light_here, centre, glow, albedo, sunli
             upright = n[0] * ux + n[1] * uy + n[2] * uz
             facing = n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2]
             if has_sun:
-                if kind[i, j] == RELIEF and not as_it_is:
+                if kind[i, j] == RELIEF and not has_true_slopes:
                     facing, upright = _on_slope(facing, upright, sine, exaggeration, limit)
                 seen = seen * _sky_on_slope(facing, upright, sine, towards)
                 if kind[i, j] == RELIEF:
-                    facing = _towards_sun(facing, sine, terminator)
+                    facing = _direct_on_slope(facing, sine, terminator)
             sky_here = night + (1.0 - night) * dusk_of(sine)
-            direct = (leaf + (1.0 - leaf) * max(facing, 0.0)) * (_direct_at(sine) * sunlight[i, j])
-            at, beyond = _place_in_tint(height[i, j])
-            veil = veils[at] + (veils[at + 1] - veils[at]) * beyond
-            red, green, blue = _tinted(tints.table, north[0] * ux + north[1] * uy + north[2] * uz, at, beyond)
+            direct = (leaf + (1.0 - leaf) * max(facing, 0.0)) * (_direct_fade(sine) * sunlight[i, j])
+            tint_index, fraction = _tint_position(height[i, j])
+            veil = veils[tint_index] + (veils[tint_index + 1] - veils[tint_index]) * fraction
+            red, green, blue = _tinted(tints.table, north[0] * ux + north[1] * uy + north[2] * uz, tint_index, fraction)
             if albedo is not None:
                 if np.isfinite(albedo[i, j, 0]):
                     red, green, blue = albedo[i, j, 0], albedo[i, j, 1], albedo[i, j, 2]
@@ -261,62 +261,66 @@ def _rounded(value):
 
 
 @internal
-def _place_in_tint(height):
+def _tint_position(height):
     """Return the index of the tabulated height at or below a height, and the fraction of the way to the next one."""
     share = min(max((height - TINT_LOW_M) / TINT_STEP_M, 0.0), TINT_COUNT - 1.0)
-    at = np.int32(min(share, TINT_COUNT - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
-    return at, share - at
+    tint_index = np.int32(min(share, TINT_COUNT - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
+    return tint_index, share - tint_index
 
 
 @internal
-def _place_in_latitudes(sine, rows):
+def _latitude_position(sine, rows):
     """Return the index of the tints' row at or below a latitude's sine, and the fraction of the way to the next one."""
     share = min(max(0.5 * (sine + 1.0) * (rows - 1), 0.0), rows - 1.0)
-    at = np.int32(min(share, rows - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
-    return at, share - at
+    tint_index = np.int32(min(share, rows - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
+    return tint_index, share - tint_index
 
 
 @internal
-def _tinted(table, sine, at, beyond):
+def _tinted(table, sine, tint_index, fraction):
     """Return the ground's colour at the sine of a latitude and a place in the heights' table."""
     if table.shape[0] == 1:
-        return _tint_at(table, 0, 0, at, beyond), _tint_at(table, 0, 1, at, beyond), _tint_at(table, 0, 2, at, beyond)
-    row, further = _place_in_latitudes(sine, table.shape[0])
+        return (
+            _tint_at(table, 0, 0, tint_index, fraction),
+            _tint_at(table, 0, 1, tint_index, fraction),
+            _tint_at(table, 0, 2, tint_index, fraction),
+        )
+    row, row_fraction = _latitude_position(sine, table.shape[0])
     return (
-        _tint_between(table, row, further, 0, at, beyond), _tint_between(table, row, further, 1, at, beyond),
-        _tint_between(table, row, further, 2, at, beyond),
+        _tint_between(table, row, row_fraction, 0, tint_index, fraction), _tint_between(table, row, row_fraction, 1, tint_index, fraction),
+        _tint_between(table, row, row_fraction, 2, tint_index, fraction),
     )  # fmt: skip
 
 
 @internal
-def _tint_at(table, row, k, at, beyond):
-    here = table[row, k, at]
-    return here + (table[row, k, at + 1] - here) * beyond
+def _tint_at(table, row, k, tint_index, fraction):
+    value = table[row, k, tint_index]
+    return value + (table[row, k, tint_index + 1] - value) * fraction
 
 
 @internal
-def _tint_between(table, row, further, k, at, beyond):
-    here = _tint_at(table, row, k, at, beyond)
-    return here + (_tint_at(table, row + 1, k, at, beyond) - here) * further
+def _tint_between(table, row, row_fraction, k, tint_index, fraction):
+    value = _tint_at(table, row, k, tint_index, fraction)
+    return value + (_tint_at(table, row + 1, k, tint_index, fraction) - value) * row_fraction
 
 
 @compiled
-def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, light_here, table, out):
+def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, daylight_in_frame, table, out):
     """Compute ``srgb_encoded`` of ``shade_rows`` for bare ground, row by row.
 
     Inner loops compile to vector instructions; table look-ups run between them.
     """
     tints, north, greying, towards, terminator, exaggeration, limit, veils, _ = look
-    _, to_sun, sun, sky, night = light_here
+    _, to_sun, sun, sky, night = daylight_in_frame
     cols = there.shape[1]
     direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
     facing, high, seen = np.empty(cols), np.empty(cols), np.empty(cols)
-    as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
-    beyond, at = np.empty(cols), np.empty(cols, np.int32)
+    has_true_slopes = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
+    fraction, tint_index = np.empty(cols), np.empty(cols, np.int32)
     own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
-    latitude, further, rows = np.empty(cols), np.empty(cols), np.zeros(cols, np.int32)
+    latitude, row_fraction, rows = np.empty(cols), np.empty(cols), np.zeros(cols, np.int32)
     for i in range(there.shape[0]):
-        _face(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
+        _cosines_to_sun(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
         high_everywhere = True  # pixels without ground have a NaN sine, which the comparison ignores
         for j in range(cols):
             high_everywhere = high_everywhere and not sines[j] <= HIGH_SUN_SINE
@@ -324,37 +328,37 @@ def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, ligh
             direct[j], sky_here[j] = sunlight[i, j], 1.0
         if not high_everywhere:
             for j in range(cols):
-                direct[j] *= _direct_at(sines[j])
+                direct[j] *= _direct_fade(sines[j])
                 sky_here[j] = night + (1.0 - night) * dusk_of(sines[j])
-        _face(normal[i], (to_sun[0], to_sun[1], to_sun[2]), facing)
-        _stand(normal[i], up[i], high)
-        if not as_it_is:
-            _steepen(facing, high, sines, exaggeration, limit)
+        _cosines_to_sun(normal[i], (to_sun[0], to_sun[1], to_sun[2]), facing)
+        _cosines_to_zenith(normal[i], up[i], high)
+        if not has_true_slopes:
+            _exaggerate_row(facing, high, sines, exaggeration, limit)
         _sky_on_row(facing, high, sines, towards, sky_share[i], sky_here, seen)
         _sun_on_row(facing, sines, terminator, direct)
-        _place_row(height[i], beyond, at)
-        _look_up_tint(veils, at, beyond, veil)
-        is_one, row = tints.table.shape[0] == 1, 0
-        if not is_one:
-            _face(up[i], (north[0], north[1], north[2]), latitude)
-            _place_row_in_latitudes(latitude, tints.table.shape[0], further, rows)
-            is_one, row = _is_one_climate(tints.differs_from, there[i], rows, at)
-        _look_up_colors(tints.table, is_one, row, 3, rows, further, at, beyond, grey)
+        _tint_positions(height[i], fraction, tint_index)
+        _look_up_tint(veils, tint_index, fraction, veil)
+        has_one_row, row = tints.table.shape[0] == 1, 0
+        if not has_one_row:
+            _cosines_to_sun(up[i], (north[0], north[1], north[2]), latitude)
+            _latitude_positions(latitude, tints.table.shape[0], row_fraction, rows)
+            has_one_row, row = _is_one_climate(tints.differs_from, there[i], rows, tint_index)
+        _look_up_colors(tints.table, has_one_row, row, 3, rows, row_fraction, tint_index, fraction, grey)
         for k in range(3):
-            _look_up_colors(tints.table, is_one, row, k, rows, further, at, beyond, own)
+            _look_up_colors(tints.table, has_one_row, row, k, rows, row_fraction, tint_index, fraction, own)
             _srgb_steps_of(own, grey, greying, sun[k], sky[k], direct, seen, veil, sky_here, AIR[k], table.size, step)
             _look_up_srgb(there[i], step, table, out[i, :, k])
 
 
 @internal
-def _face(normal, to_sun, out):
+def _cosines_to_sun(normal, to_sun, out):
     """Compute the cosines of normals (n, 3) to the sun."""
     for j in range(out.size):
         out[j] = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
 
 
 @internal
-def _stand(normal, up, out):
+def _cosines_to_zenith(normal, up, out):
     """Compute the cosines of normals (n, 3) to the zenith, with the zenith's directions ``up`` (n, 3)."""
     for j in range(out.size):
         x, y, z = np.float64(up[j, 0]), np.float64(up[j, 1]), np.float64(up[j, 2])
@@ -362,7 +366,7 @@ def _stand(normal, up, out):
 
 
 @internal
-def _steepen(facing, upright, sines, exaggeration, limit):
+def _exaggerate_row(facing, upright, sines, exaggeration, limit):
     """Apply ``_on_slope`` to a row, in place."""
     for j in range(facing.size):
         facing[j], upright[j] = _on_slope(facing[j], upright[j], sines[j], exaggeration, limit)
@@ -379,30 +383,30 @@ def _sky_on_row(facing, upright, sines, towards, sky_share, sky_here, out):
 def _sun_on_row(facing, sines, terminator, direct):
     """Multiply a row's direct light by its factor on the slopes, in place."""
     for j in range(direct.size):
-        direct[j] *= _towards_sun(facing[j], sines[j], terminator)
+        direct[j] *= _direct_on_slope(facing[j], sines[j], terminator)
 
 
 @internal
-def _place_row(heights, beyond, at):
-    """Apply ``_place_in_tint`` to a row."""
+def _tint_positions(heights, fraction, tint_index):
+    """Apply ``_tint_position`` to a row."""
     for j in range(heights.size):
-        at[j], beyond[j] = _place_in_tint(heights[j])
+        tint_index[j], fraction[j] = _tint_position(heights[j])
 
 
 @internal
-def _place_row_in_latitudes(sines, count, further, rows):
-    """Apply ``_place_in_latitudes`` to a row."""
+def _latitude_positions(sines, count, row_fraction, rows):
+    """Apply ``_latitude_position`` to a row."""
     for j in range(sines.size):
-        rows[j], further[j] = _place_in_latitudes(sines[j], count)
+        rows[j], row_fraction[j] = _latitude_position(sines[j], count)
 
 
 @internal
-def _is_one_climate(differs_from, there, rows, at):
+def _is_one_climate(differs_from, there, rows, tint_index):
     """Return whether one row of the tints serves all valid pixels of a row, and its index."""
     first, last, highest = np.int32(differs_from.size), np.int32(-1), np.int32(0)
-    for j in range(at.size):
+    for j in range(tint_index.size):
         if there[j]:
-            first, last, highest = min(first, rows[j]), max(last, rows[j]), max(highest, at[j])
+            first, last, highest = min(first, rows[j]), max(last, rows[j]), max(highest, tint_index[j])
     for n in range(first, last + 1):
         if highest + 1 >= differs_from[n]:
             return False, 0
@@ -410,31 +414,31 @@ def _is_one_climate(differs_from, there, rows, at):
 
 
 @internal
-def _look_up_colors(table, is_one, row, k, rows, further, at, beyond, out):
+def _look_up_colors(table, has_one_row, row, k, rows, row_fraction, tint_index, fraction, out):
     """Look up a channel of the tints for a row of pixels: in one row of the table, or between two rows for each pixel."""
-    if is_one:
-        _look_up_tint(table[row, k], at, beyond, out)
+    if has_one_row:
+        _look_up_tint(table[row, k], tint_index, fraction, out)
     else:
-        for j in range(at.size):
-            out[j] = _tint_between(table, rows[j], further[j], k, at[j], beyond[j])
+        for j in range(tint_index.size):
+            out[j] = _tint_between(table, rows[j], row_fraction[j], k, tint_index[j], fraction[j])
 
 
 @internal
-def _look_up_tint(tints, at, beyond, out):
-    for j in range(at.size):
-        here = tints[at[j]]
-        out[j] = here + (tints[at[j] + 1] - here) * beyond[j]
+def _look_up_tint(tints, tint_index, fraction, out):
+    for j in range(tint_index.size):
+        value = tints[tint_index[j]]
+        out[j] = value + (tints[tint_index[j] + 1] - value) * fraction[j]
 
 
 @internal
 def _srgb_steps_of(own, grey, greying, sun, sky, direct, seen, veil, sky_here, air, steps, out):
     """Compute the indices in an sRGB table of ``steps`` for the colour of lit ground, after tone curve and veil of air."""
-    many = np.float32(steps)
+    count = np.float32(steps)
     for j in range(out.size):
-        shown = own[j] * (sun * direct[j]) + (own[j] + greying * (grey[j] - own[j])) * (sky * seen[j])
-        shown = shown if shown <= SHOULDER else 1.0 - SHOULDER_LEFT**2 / (shown + SHOULDER_LEFT - SHOULDER)
-        linear = np.float32(shown + veil[j] * (air * sky_here[j] - shown))
-        step = linear * many
+        light = own[j] * (sun * direct[j]) + (own[j] + greying * (grey[j] - own[j])) * (sky * seen[j])
+        light = light if light <= SHOULDER else 1.0 - SHOULDER_RANGE**2 / (light + SHOULDER_RANGE - SHOULDER)
+        linear = np.float32(light + veil[j] * (air * sky_here[j] - light))
+        step = linear * count
         out[j] = min(np.int32(step if step > 0.0 else 0.0), np.int32(steps - 1))
 
 
@@ -458,9 +462,9 @@ def albedo_rows(first, last, shown, centre, albedo, look, out):
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             ux, uy, uz = _rounded(ux / length), _rounded(uy / length), _rounded(uz / length)
-            at, beyond = _place_in_tint(height[i, j])
+            tint_index, fraction = _tint_position(height[i, j])
             sine = north[0] * ux + north[1] * uy + north[2] * uz
-            out[i, j, 0], out[i, j, 1], out[i, j, 2] = _tinted(tints.table, sine, at, beyond)
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = _tinted(tints.table, sine, tint_index, fraction)
             if albedo is not None:
                 if np.isfinite(albedo[i, j, 0]):
                     for k in range(3):

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.interpolation import smoothstep
 from skugga.terrain.scene import Scene
@@ -38,7 +38,7 @@ CLOUDY_SKY = (0.60, 0.64, 0.68)
 AIR_DEPTH = (0.105, 0.180, 0.325)
 """Optical depth of the air overhead for red, green and blue light: Rayleigh scattering, ozone and 0.05 of aerosol."""
 
-SCATTERED_ONCE = 0.45
+SINGLE_SCATTERING_SHARE = 0.45
 """Share of that depth that colours the foot of the sky. Multiple scattering compensates the rest."""
 
 MOST_AIR_MASS = 22.0
@@ -47,13 +47,13 @@ MOST_AIR_MASS = 22.0
 LOW_SUN_DEG = (2.0, 16.0)
 """Altitudes of the sun: up to the first the foot of the sky has the sunlight's full colour, from the second on none."""
 
-OPPOSITE = 0.22
+OPPOSITE_SHARE = 0.22
 """Share of that colour opposite to the sun."""
 
-DAY_FALL, LOW_FALL = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
+DAY_FADE, LOW_SUN_FADE = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
 """Rates per sine of the altitude at which the horizon's colour fades into the zenith's: under a high sun, and under a low one."""
 
-DEEP_ZENITH = 0.25
+ZENITH_DARKENING = 0.25
 """Share by which a low sun darkens the zenith."""
 
 LOBES = ((0.72, 0.40), (0.965, 0.55))
@@ -82,7 +82,7 @@ class Sky(NamedTuple):
         The colour of the light round the sun.
     aureole
         Share of ``glow``, 0 to 1.
-    fall
+    fade
         (3,), rates per sine of the altitude at which the horizon's colour fades into the zenith's.
     sun
         (2,), sine and cosine of the sun's altitude.
@@ -93,7 +93,7 @@ class Sky(NamedTuple):
     zenith: np.ndarray
     glow: np.ndarray
     aureole: float
-    fall: np.ndarray
+    fade: np.ndarray
     sun: np.ndarray
 
 
@@ -111,11 +111,11 @@ def sky_of(scene: Scene) -> Sky:
     def foot(share: float) -> np.ndarray:
         return ((1.0 - cover) * (horizon + (lit - horizon) * low * share) + cover * grey) * light
 
-    zenith = ((1.0 - cover) * np.array(SKY_ZENITH) * (1.0 - DEEP_ZENITH * low) + cover * grey) * light
+    zenith = ((1.0 - cover) * np.array(SKY_ZENITH) * (1.0 - ZENITH_DARKENING * low) + cover * grey) * light
     aureole = (1.0 - cover) * twilight
-    fall = np.array(DAY_FALL) + (np.array(LOW_FALL) - np.array(DAY_FALL)) * low
+    fade = np.array(DAY_FADE) + (np.array(LOW_SUN_FADE) - np.array(DAY_FADE)) * low
     sun = np.array([sine, np.sqrt(max(1.0 - sine * sine, 0.0))])
-    return Sky(foot(1.0), foot(OPPOSITE), zenith, np.sqrt(lit) * light, aureole, fall, sun)
+    return Sky(foot(1.0), foot(OPPOSITE_SHARE), zenith, np.sqrt(lit) * light, aureole, fade, sun)
 
 
 def horizon_colors(scene: Scene) -> np.ndarray:
@@ -129,7 +129,7 @@ def horizon_colors(scene: Scene) -> np.ndarray:
     return out.T
 
 
-def sunward(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
+def horizontal_sun_direction(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Return the horizontal unit direction (3,) towards the sun's azimuth; 0 if the sun is at the zenith or missing."""
     level = to_sun - (to_sun @ up) * up
     length = float(np.linalg.norm(level))
@@ -139,55 +139,55 @@ def sunward(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
 def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
     """Return the linear display colour (n, 3) of the sky in some pixels of a view, dithered by up to half an 8-bit step."""
     up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
-    level = np.zeros(3) if scene.sun is None else sunward(scene.sun.to_sun_earth, up)
+    level = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.to_sun_earth, up)
     pixels = np.array([view.col0, view.row0, view.step])
     axes = view.earth_from_camera.T
     out = np.empty((rows.size, 3), np.float32)
-    in_shares(rows.size, _sky, rows, cols, pixels, view.focal_px, axes @ up, axes @ level, sky_of(scene), out)
+    run_in_chunks(rows.size, _sky, rows, cols, pixels, view.focal_px, axes @ up, axes @ level, sky_of(scene), out)
     return out
 
 
 @compiled
-def sky_color(sky, sine, along, out):
+def sky_color(sky, sine, azimuth_cosine, out):
     """Compute the sky's colour in a direction.
 
-    ``sine`` is the sine of its altitude, ``along`` the cosine of the azimuth between it and the sun.
+    ``sine`` is the sine of its altitude, ``azimuth_cosine`` the cosine of the azimuth between it and the sun.
     """
-    below_sun, opposite, zenith, glow, aureole, fall, sun = sky
+    below_sun, opposite, zenith, glow, aureole, fade, sun = sky
     sine = max(sine, 0.0)
-    facing = 0.5 + 0.5 * along
+    facing = 0.5 + 0.5 * azimuth_cosine
     facing *= facing
     light = 0.0
     if aureole > 0.0:
-        between = sine * sun[0] + np.sqrt(max(1.0 - sine * sine, 0.0)) * sun[1] * along
-        for asymmetry, most in LOBES:
-            ahead = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * between)
-            light += most * ahead * np.sqrt(ahead)
+        between = sine * sun[0] + np.sqrt(max(1.0 - sine * sine, 0.0)) * sun[1] * azimuth_cosine
+        for asymmetry, peak in LOBES:
+            lobe = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * between)
+            light += peak * lobe * np.sqrt(lobe)
         light *= aureole
     for k in range(3):
         foot = opposite[k] + (below_sun[k] - opposite[k]) * facing
-        share = 1.0 - np.exp(-fall[k] * sine) if sine > 0.0 else 0.0
+        share = 1.0 - np.exp(-fade[k] * sine) if sine > 0.0 else 0.0
         color = (1.0 - share) * foot + share * zenith[k]
         out[k] = color + (glow[k] - color) * light
 
 
 @compiled
-def sky_colors(sky, sine, along, out):
+def sky_colors(sky, sine, azimuth_cosine, out):
     """Compute ``sky_color`` of many directions (n,) into (3, n), in loops that compile to vector instructions."""
-    below_sun, opposite, zenith, glow, aureole, fall, sun = sky
+    below_sun, opposite, zenith, glow, aureole, fade, sun = sky
     light, share = np.zeros(sine.size), np.empty(sine.size)
     if aureole > 0.0:
-        for asymmetry, most in LOBES:
+        for asymmetry, peak in LOBES:
             for n in range(sine.size):
                 height = max(sine[n], 0.0)
-                between = height * sun[0] + np.sqrt(max(1.0 - height * height, 0.0)) * sun[1] * along[n]
-                ahead = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * between)
-                light[n] += most * ahead * np.sqrt(ahead)
+                between = height * sun[0] + np.sqrt(max(1.0 - height * height, 0.0)) * sun[1] * azimuth_cosine[n]
+                lobe = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * between)
+                light[n] += peak * lobe * np.sqrt(lobe)
         light *= aureole
     for k in range(3):
-        passing(fall[k], sine, share)
+        transmittances(fade[k], sine, share)
         for n in range(sine.size):
-            facing = 0.5 + 0.5 * along[n]
+            facing = 0.5 + 0.5 * azimuth_cosine[n]
             facing *= facing
             foot = opposite[k] + (below_sun[k] - opposite[k]) * facing
             color = share[n] * foot + (1.0 - share[n]) * zenith[k]
@@ -195,7 +195,7 @@ def sky_colors(sky, sine, along, out):
 
 
 @compiled
-def passing(per_length, length, out):
+def transmittances(per_length, length, out):
     """Compute the transmittance (n,) of lengths, exp(-per_length * length); 1 for a negative length.
 
     Evaluated as exp(-per_length * length / 1024)**1024 by its series, since calls of a library's function would take most of the
@@ -220,7 +220,7 @@ def gradient_noise(x, y):
 @compiled
 def _sky(first, last, rows, cols, pixels, focal, up, level, sky, out):
     """Compute the sky's colour of some pixels in batches, by ``sky_colors``."""
-    px, py, sine, along = np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN)
+    px, py, sine, azimuth_cosine = np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN)
     color = np.empty((3, PIXEL_RUN))
     for begin in range(first, last, PIXEL_RUN):
         count = min(PIXEL_RUN, last - begin)
@@ -231,18 +231,18 @@ def _sky(first, last, rows, cols, pixels, focal, up, level, sky, out):
             length = np.sqrt(1.0 + x * x + y * y)
             sine[n] = (x * up[0] + y * up[1] + up[2]) / length
             across = np.sqrt(max(1.0 - sine[n] * sine[n], 1e-12))
-            along[n] = min(max((x * level[0] + y * level[1] + level[2]) / (length * across), -1.0), 1.0)
-        sky_colors(sky, sine[:count], along[:count], color[:, :count])
+            azimuth_cosine[n] = min(max((x * level[0] + y * level[1] + level[2]) / (length * across), -1.0), 1.0)
+        sky_colors(sky, sine[:count], azimuth_cosine[:count], color[:, :count])
         for k in range(3):
             for n in range(count):
                 # sRGB is about the root of linear light, so that a step of 1/255 is twice that root over 255.
                 own = color[k, n]
-                moved = own + gradient_noise(px[n] + 37.0 * k, py[n] + 17.0 * k) * 2.1 / 255.0 * np.sqrt(own)
-                out[begin + n, k] = min(max(moved, 0.0), 1.0)
+                dithered = own + gradient_noise(px[n] + 37.0 * k, py[n] + 17.0 * k) * 2.1 / 255.0 * np.sqrt(own)
+                out[begin + n, k] = min(max(dithered, 0.0), 1.0)
 
 
 def _sunlight_color(altitude_deg: float) -> np.ndarray:
     """Return the colour (3,) of white sunlight after its path through the air, as far as it colours the foot of the sky."""
     altitude = max(altitude_deg, 0.0)
     mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
-    return np.exp(-SCATTERED_ONCE * min(mass, MOST_AIR_MASS) * np.array(AIR_DEPTH))
+    return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MOST_AIR_MASS) * np.array(AIR_DEPTH))

@@ -157,7 +157,7 @@ def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_share: Callable
     return replace(style, slope_exaggeration=style.slope_exaggeration * spec.slope_exaggeration)
 
 
-def styled(own: StyleSpec, name: str | None, slope_exaggeration: float | None) -> StyleSpec:
+def style_spec(own: StyleSpec, name: str | None, slope_exaggeration: float | None) -> StyleSpec:
     """Return a level's style with a request's changes (``None``: no change). Raises ``InputError``."""
     changes = {"name": name, "slope_exaggeration": slope_exaggeration}
     changes = {key: value for key, value in changes.items() if value is not None}

@@ -18,7 +18,7 @@ def user_cache(name: str) -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache") / "skugga" / name
 
 
-def arrays_kept_in(path: Path) -> dict[str, np.ndarray] | None:
+def load_arrays(path: Path) -> dict[str, np.ndarray] | None:
     """Return the arrays of an ``.npz`` file by name; ``None`` if the file is missing or damaged."""
     absent_or_damaged = OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile
     with suppress(*absent_or_damaged), path.open("rb") as file, np.load(file) as stored:

@@ -23,10 +23,10 @@ from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import PerspectiveSpec
 
-VIEWED_NODES = 257
+LATTICE_NODES = 257
 """Nodes of the lattice along its longer side."""
 
-WIDEST_VIEWED_M, WIDEST_VIEWED_CELLS = 60_000.0, 240.0
+MAX_VIEWED_M, MAX_VIEWED_CELLS = 60_000.0, 240.0
 """Longest side of the part of a level that is searched, in metres or in cells, whichever is longer.
 
 Beyond that distance air hides the ground. With fewer cells the picture would show single cells.
@@ -35,7 +35,7 @@ Beyond that distance air hides the ground. With fewer cells the picture would sh
 FOV_DEG, ASPECT = 40.0, 1.25
 """Vertical field of view, and the picture's ratio of width to height."""
 
-EYES = 12
+EYES_PER_SIDE = 12
 """Candidate positions along either side."""
 
 AZIMUTHS = 16
@@ -52,19 +52,19 @@ LEAST_HEIGHT_CELLS = 12.0
 RAYS = (9, 11)
 """Rows and columns of rays per candidate."""
 
-FILLED_POWER = 40.0
+GROUND_SHARE_POWER = 40.0
 """Power of the share of rays that meet ground in the score. With a fiftieth of sky the factor is less than a half."""
 
-WIDE_SHARE = 0.6
+WIDE_DISTANCE_SHARE = 0.6
 """Median distance of the visible ground from which on a view counts as wide, as a share of the level's shorter side."""
 
-FREE_SHARE = 1.2
+CLEAR_FOREGROUND_HEIGHTS = 1.2
 """Distance of the nearest ground from which on the foreground counts as free, in heights of the eye above ground."""
 
-RELIEF_SHARE = 0.6
+RELIEF_WEIGHT = 0.6
 """Weight of relief relative to that of light and shadow."""
 
-SIDE_SHARE = 0.6
+SIDE_WEIGHT = 0.6
 """Share of the score that depends on the angle to the sun's azimuth."""
 
 
@@ -99,21 +99,21 @@ def good_view(world: World, elevation: Elevation, sun: Sun | None) -> Perspectiv
     rows, cols = lattice.height_m.shape
     short_m = (min(rows, cols) - 1) * lattice.step_m
     heights_m = np.maximum(np.multiply(HEIGHT_SHARES, short_m), LEAST_HEIGHT_CELLS * elevation.cell_size_m(world.metres_per_unit))
-    row, col = (np.linspace(0.04, 0.96, EYES) * (count - 1) for count in (rows, cols))
+    row, col = (np.linspace(0.04, 0.96, EYES_PER_SIDE) * (count - 1) for count in (rows, cols))
     eyes = np.stack(np.meshgrid(np.rint(row), np.rint(col), indexing="ij"), axis=-1).reshape(-1, 2).astype(np.int64)
     azimuths = np.radians(np.arange(AZIMUTHS) * 360.0 / AZIMUTHS)
     sun_azimuth = np.nan if sun is None else np.radians(sun.azimuth_deg)
-    worth = _worth(
+    scores = _view_scores(
         lattice.height_m, lattice.light, lattice.step_m, eyes, np.unique(heights_m), azimuths, np.radians(PITCHES_DEG), sun_azimuth
     )
-    if not worth.max() > 0.0:
+    if not scores.max() > 0.0:
         return None
-    eye, height, azimuth, pitch = (int(index) for index in np.unravel_index(worth.argmax(), worth.shape))
+    eye, height, azimuth, pitch = (int(index) for index in np.unravel_index(scores.argmax(), scores.shape))
     eye_m = float(f"{np.unique(heights_m)[height]:.3g}")
     row0, col0 = eyes[eye]
     down = np.radians(PITCHES_DEG[pitch])
     direction = np.array([np.sin(azimuths[azimuth]) * np.cos(down), np.cos(azimuths[azimuth]) * np.cos(down), -np.sin(down)])
-    hit = _hit(lattice.height_m, lattice.step_m, row0, col0, lattice.height_m[row0, col0] + eye_m, *direction)
+    hit = _ray_hit(lattice.height_m, lattice.step_m, row0, col0, lattice.height_m[row0, col0] + eye_m, *direction)
     if not np.isfinite(hit[0]):
         return None
     target = lattice.points_earth_m[int(np.rint(hit[1])), int(np.rint(hit[2]))]
@@ -137,12 +137,12 @@ def _places(world: World, elevation: Elevation, points_earth_m: np.ndarray) -> l
 def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
     """Return the lattice of the level, or of its most rugged part where the level is wider than the searched part."""
     cell_m = elevation.cell_size_m(world.metres_per_unit)
-    widest_m = max(WIDEST_VIEWED_M, WIDEST_VIEWED_CELLS * cell_m)
+    widest_m = max(MAX_VIEWED_M, MAX_VIEWED_CELLS * cell_m)
     row, col = (elevation.rows - 1) / 2, (elevation.cols - 1) / 2
     if max(elevation.rows, elevation.cols) * cell_m > widest_m:
-        row, col = _most_rugged(world, elevation, sun, widest_m / cell_m)
+        row, col = _most_rugged_cell(world, elevation, sun, widest_m / cell_m)
     high_m, wide_m = (min((count - 1) * cell_m, widest_m) for count in (elevation.rows, elevation.cols))
-    step_m = max(max(high_m, wide_m) / (VIEWED_NODES - 1), cell_m)
+    step_m = max(max(high_m, wide_m) / (LATTICE_NODES - 1), cell_m)
     rows, cols = (max(int(length / step_m), 1) + 1 for length in (high_m, wide_m))
     x, y = (float(v) for v in elevation.xy(row, col))
     origin, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
@@ -160,11 +160,11 @@ def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
     if sun is None:
         light = np.ones_like(height_m)
     else:
-        light = _light(height_m, step_m, axes.T @ sun.to_sun_earth)
+        light = _brightness(height_m, step_m, axes.T @ sun.to_sun_earth)
     return _Lattice(height_m, light, step_m, points)
 
 
-def _most_rugged(world: World, elevation: Elevation, sun: Sun | None, cells: float) -> tuple[float, float]:
+def _most_rugged_cell(world: World, elevation: Elevation, sun: Sun | None, cells: float) -> tuple[float, float]:
     """Return the row and column of the centre of the most rugged square with a side of some cells, from the overview.
 
     Relief counts for less where the sun stands lower than at the anchor.
@@ -172,33 +172,33 @@ def _most_rugged(world: World, elevation: Elevation, sun: Sun | None, cells: flo
     from scipy.ndimage import uniform_filter
 
     heights, factor = elevation.overview.heights_m.astype(np.float64), 2**elevation.overview.level
-    known = np.isfinite(heights)
+    valid = np.isfinite(heights)
     side = max(round(cells / factor), 3)
-    share = uniform_filter(known.astype(np.float64), side, mode="constant")
-    filled = np.where(known, heights, 0.0)
+    share = uniform_filter(valid.astype(np.float64), side, mode="constant")
+    filled = np.where(valid, heights, 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = uniform_filter(filled, side, mode="constant") / share
         spread = np.sqrt(np.maximum(uniform_filter(filled**2, side, mode="constant") / share - mean**2, 0.0))
-    worth = np.where(known, spread * share**4, -1.0)
+    scores = np.where(valid, spread * share**4, -1.0)
     if sun is not None:
         at = ((np.arange(count) + 0.5) * factor - 0.5 for count in heights.shape)
         _, up = world.ground(elevation.crs, *elevation.xy(*np.meshgrid(*at, indexing="ij")))
-        worth *= np.clip(np.nan_to_num(up @ sun.to_sun_earth) / max(np.sin(np.radians(sun.altitude_deg)), 0.01), 0.0, 1.0)
-    row, col = np.unravel_index(worth.argmax(), worth.shape)
+        scores *= np.clip(np.nan_to_num(up @ sun.to_sun_earth) / max(np.sin(np.radians(sun.altitude_deg)), 0.01), 0.0, 1.0)
+    row, col = np.unravel_index(scores.argmax(), scores.shape)
     return (float(row) + 0.5) * factor - 0.5, (float(col) + 0.5) * factor - 0.5
 
 
-def _light(height_m: np.ndarray, step_m: float, to_sun: np.ndarray) -> np.ndarray:
+def _brightness(height_m: np.ndarray, step_m: float, to_sun: np.ndarray) -> np.ndarray:
     """Return the brightness of nodes (rows, cols): the cosine of incidence, 0 in shadow."""
     if min(height_m.shape) < 2 or to_sun[2] <= 0.0:
         return np.zeros_like(height_m)
     south, east = np.gradient(height_m, step_m)
     cosine = (to_sun[2] - east * to_sun[0] + south * to_sun[1]) / np.sqrt(1.0 + east**2 + south**2)
-    return np.where(_sees(height_m, step_m, *to_sun), np.clip(np.nan_to_num(cosine), 0.0, 1.0), 0.0)
+    return np.where(_lit_mask(height_m, step_m, *to_sun), np.clip(np.nan_to_num(cosine), 0.0, 1.0), 0.0)
 
 
 @compiled
-def _hit(height_m, step_m, row, col, z_m, east, north, up):
+def _ray_hit(height_m, step_m, row, col, z_m, east, north, up):
     """Return the intersection of a ray with the ground: its horizontal distance in metres, row and column; NaN without one."""
     rows, cols = height_m.shape
     along = np.sqrt(east**2 + north**2)
@@ -218,25 +218,25 @@ def _hit(height_m, step_m, row, col, z_m, east, north, up):
 
 
 @compiled
-def _sees(height_m, step_m, east, north, up):
+def _lit_mask(height_m, step_m, east, north, up):
     """Return the mask (bool) of nodes that a distant light in a direction reaches past the other nodes."""
     rows, cols = height_m.shape
     out = np.zeros(height_m.shape, np.bool_)
     for i in range(rows):
         for j in range(cols):
             if not np.isnan(height_m[i, j]):
-                distance, _, _ = _hit(height_m, step_m, float(i), float(j), height_m[i, j] + 0.02 * step_m, east, north, up)
+                distance, _, _ = _ray_hit(height_m, step_m, float(i), float(j), height_m[i, j] + 0.02 * step_m, east, north, up)
                 out[i, j] = np.isnan(distance)
     return out
 
 
 @compiled
-def _worth(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches, sun_azimuth):
+def _view_scores(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches, sun_azimuth):
     """Return the score of each candidate (eyes, heights, azimuths, pitches); 0 for an unusable one."""
     rows, cols = RAYS
-    tall = np.tan(np.radians(FOV_DEG) / 2.0)
+    half_height = np.tan(np.radians(FOV_DEG) / 2.0)
     out = np.zeros((len(eyes), len(eye_heights_m), len(azimuths), len(pitches)))
-    seen = np.empty((3, rows * cols))
+    hits = np.empty((3, rows * cols))
     for e in range(len(eyes)):
         row, col = eyes[e, 0], eyes[e, 1]
         if np.isnan(height_m[row, col]):
@@ -244,29 +244,31 @@ def _worth(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches, sun_
         for h in range(len(eye_heights_m)):
             z = height_m[row, col] + eye_heights_m[h]
             for a in range(len(azimuths)):
-                side = 1.0 - SIDE_SHARE
+                side_factor = 1.0 - SIDE_WEIGHT
                 if not np.isnan(sun_azimuth):
-                    side += SIDE_SHARE * abs(np.sin(azimuths[a] - sun_azimuth))
+                    side_factor += SIDE_WEIGHT * abs(np.sin(azimuths[a] - sun_azimuth))
                 for p in range(len(pitches)):
                     count = 0
                     for i in range(rows):
-                        down = tall * (2.0 * i / (rows - 1) - 1.0)
+                        down = half_height * (2.0 * i / (rows - 1) - 1.0)
                         for j in range(cols):
-                            right = tall * ASPECT * (2.0 * j / (cols - 1) - 1.0)
+                            right = half_height * ASPECT * (2.0 * j / (cols - 1) - 1.0)
                             forward = np.cos(pitches[p]) - down * np.sin(pitches[p])
                             up = -np.sin(pitches[p]) - down * np.cos(pitches[p])
                             east = forward * np.sin(azimuths[a]) + right * np.cos(azimuths[a])
                             north = forward * np.cos(azimuths[a]) - right * np.sin(azimuths[a])
-                            t, r, c = _hit(height_m, step_m, float(row), float(col), z, east, north, up)
+                            t, r, c = _ray_hit(height_m, step_m, float(row), float(col), z, east, north, up)
                             if not np.isnan(t):
                                 k, m = int(r + 0.5), int(c + 0.5)
-                                seen[0, count], seen[1, count], seen[2, count] = light[k, m], height_m[k, m], t
+                                hits[0, count], hits[1, count], hits[2, count] = light[k, m], height_m[k, m], t
                                 count += 1
                     if count > 8:
-                        filled = count / (rows * cols)
-                        usual_m = np.median(seen[2, :count])
-                        wide = np.sqrt(min(usual_m / (WIDE_SHARE * step_m * (min(height_m.shape) - 1.0)), 1.0))
-                        free = min(np.min(seen[2, :count]) / (FREE_SHARE * eye_heights_m[h]), 1.0) ** 2
-                        beauty = np.std(seen[0, :count]) + RELIEF_SHARE * np.std(seen[1, :count]) / usual_m
-                        out[e, h, a, p] = filled**FILLED_POWER * side * wide * free * beauty
+                        ground_share = count / (rows * cols)
+                        median_m = np.median(hits[2, :count])
+                        width_factor = np.sqrt(min(median_m / (WIDE_DISTANCE_SHARE * step_m * (min(height_m.shape) - 1.0)), 1.0))
+                        foreground_factor = min(np.min(hits[2, :count]) / (CLEAR_FOREGROUND_HEIGHTS * eye_heights_m[h]), 1.0) ** 2
+                        contrast = np.std(hits[0, :count]) + RELIEF_WEIGHT * np.std(hits[1, :count]) / median_m
+                        out[e, h, a, p] = (
+                            ground_share**GROUND_SHARE_POWER * side_factor * width_factor * foreground_factor * contrast
+                        )
     return out

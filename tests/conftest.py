@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.compiling.ahead_of_time import PRODUCTS, compile_ahead
 from skugga.terrain.compiling.loop_cache import loop_store
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.level.level import load_level

@@ -17,7 +17,7 @@ from skugga.shadows.ground_pictures import ground_picture
 from skugga.shadows.passes import PassLog
 from skugga.shadows.picture import Picture
 from skugga.shadows.plan import Plan
-from skugga.shadows.render import under_sky
+from skugga.shadows.render import apply_refraction
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
@@ -53,5 +53,5 @@ def drawn(scene: Scene, view: MapView, plan: Plan) -> Picture:
 def drawn_by_heights(scene: Scene, view: MapView, plan: Plan) -> Picture | None:
     """Return what a block shows, drawn by the loops over heights, with the passes that ran; ``None`` where these do not suffice."""
     log = PassLog()
-    picture = ground_picture(under_sky(scene, plan, log), view, plan, SHADED, log)
+    picture = ground_picture(apply_refraction(scene, plan, log), view, plan, SHADED, log)
     return None if picture is None else Picture(**{**vars(picture), "passes": tuple(log.records.values())})

@@ -28,7 +28,7 @@ def render(scene: Scene, view: MapView | None = None, **overrides: Any) -> Frame
 def render_points(scene: Scene, view: MapView | None = None, **overrides: Any) -> Frame:
     """The same without what is shown of edges, which takes the longer part: for who looks at visibility, of pixels' own points."""
     view = view or scene.view()
-    return render_frame(scene, view, plan_of(scene, view, **overrides), pixels_show="points")
+    return render_frame(scene, view, plan_of(scene, view, **overrides), pixel_sampling="points")
 
 
 def shadow(frame: Frame) -> np.ndarray:

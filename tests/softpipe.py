@@ -23,7 +23,7 @@ SOFTPIPE = {"GALLIUM_DRIVER": "softpipe", "MESA_GL_VERSION_OVERRIDE": "4.5", "ME
 
 BEYOND_IT = ("thesis_water_tower",)
 
-_program, _uploaded = Device.program, Device.uploaded
+_program, _uploaded = Device.program, Device.uploaded_mesh
 _numbered: set[int] = set()
 
 
@@ -53,4 +53,4 @@ def _one_by_one(
 
 def pytest_configure() -> None:
     """It is this process's plugin."""
-    Device.program, Device.uploaded = _numbering, _one_by_one  # type: ignore[method-assign]
+    Device.program, Device.uploaded_mesh = _numbering, _one_by_one  # type: ignore[method-assign]

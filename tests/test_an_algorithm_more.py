@@ -41,7 +41,7 @@ from skugga.shadows.algorithm import (
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS, algorithms_serving, register_algorithm
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.truth import lit_from, ray_scene
+from skugga.shadows.truth.truth import lit_mask, ray_scene
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.cache import Cache, Missing, caches, clear_caches
 from skugga.terrain.describe import describe
@@ -75,7 +75,7 @@ def fill(buffer, scene, light, kinds, casters, settings, log):
     with log.run(rays_pass):
         found = answers["kept"].get(scene, buffer.view, light, kinds, settings)
         if isinstance(found, Missing):
-            lit = lit_from(buffer, scene, light, ray_scene(buffer, scene, casters, kinds))
+            lit = lit_mask(buffer, scene, light, ray_scene(buffer, scene, casters, kinds))
             side = settings.square_px
             chosen = lit[side // 2 :: side, side // 2 :: side]
             rows, cols = (np.minimum(np.arange(size) // side, most - 1) for size, most in zip(lit.shape, chosen.shape, strict=True))
@@ -86,7 +86,7 @@ def fill(buffer, scene, light, kinds, casters, settings, log):
 
 
 def resolve(request: SettingsRequest) -> ResolvedSettings:
-    asked = request.sharpened.map_size
+    asked = request.effective_shadows.map_size
     side = 4 if asked == "auto" else max(4096 // asked, 1)
     return CoarseRaysSettings(square_px=side), [Reasoned(name=f"square_px {side}", reason="fewer rays would be seen")]
 
@@ -195,7 +195,7 @@ def test_it_is_refused_where_it_cannot_serve(coarse_rays, tmp_path):
 
 
 def test_it_draws_and_what_it_keeps_is_forgotten(gl, coarse_rays, scene):
-    drawn = partial(render_frame, pixels_show="points")  # by whose edges nothing more is cast
+    drawn = partial(render_frame, pixel_sampling="points")  # by whose edges nothing more is cast
     view = scene.view(size=(64, 64))
     whole = drawn(scene, view, plan_by(scene, view, map_size=4096)).visibility
     truth = drawn(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
@@ -272,7 +272,9 @@ def test_it_is_chosen_by_what_its_record_expects(coarse_rays, registered, ridges
     other = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
     assert other.algorithm[SUN]["relief"] == "sweep"
     said = {one.name: one.reason for one in other.rejected}
-    assert "chance of more than 2 %" in said["coarse_rays"] or said["coarse_rays"].startswith("expected at best: an error of 4.0 %")
+    assert "chance of an error over 2 %" in said["coarse_rays"] or said["coarse_rays"].startswith(
+        "expected at best: an error of 4.0 %"
+    )
 
 
 def test_a_probe_catches_an_error_model_that_is_wrong_by_a_factor_of_ten(gl, coarse_rays, registered, scene):
@@ -290,8 +292,8 @@ def test_a_probe_catches_an_error_model_that_is_wrong_by_a_factor_of_ten(gl, coa
     probed = probed_plan(scene, view, overrides=asked, device=device(**RATES)).plan
     assert probed.policy == "probe" and probed.algorithm[SUN]["relief"] != "coarse_rays" and probed.target.met
     said = {one.name: one.reason for one in probed.reasons}
-    assert "sun: probed coarse_rays" in said and "expected)" in said["sun: probed coarse_rays"]
-    assert "in place of coarse_rays" in said["sun: probe"]
+    assert "sun: probed coarse_rays" in said and "(expected: " in said["sun: probed coarse_rays"]
+    assert "instead of coarse_rays" in said["sun: probe"]
 
 
 def coarse(request: SettingsRequest) -> ResolvedSettings:
@@ -317,7 +319,7 @@ def test_what_is_not_measured_yet_is_said_and_something_else_is_taken(
     named = select(ridges, level, {"algorithm": "coarse_rays"}, "predict", measured)
     assert named.algorithm[SUN]["relief"] == "coarse_rays" and named.predicted is None and named.target.met is None
     reason = next(one.reason for one in named.reasons if one.name == "policy rules")
-    assert reason == f"nothing can be predicted, so the rules decide: coarse_rays: {why}"
+    assert reason == f"no prediction is possible, so fixed rules choose: coarse_rays: {why}"
 
 
 OF_ITS_OWN = {

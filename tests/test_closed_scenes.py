@@ -17,12 +17,12 @@ from skugga.selector.measure.view_truth import truth_of_view
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached import attached
 from skugga.shadows.ground_pictures import _ground_between_nodes
-from skugga.shadows.point.horizon import horizon_round, surroundings
+from skugga.shadows.point.horizon import horizon_profile, load_surroundings
 from skugga.shadows.point.place import place_at
 from skugga.shadows.render import render_frame
 from skugga.shadows.sunlit_ground import rim_points
 from skugga.terrain.cache import caches, clear_caches
-from skugga.terrain.casters.horizon_bound import patch_ground
+from skugga.terrain.casters.caster_culling import patch_ground
 from skugga.terrain.casters.reach import Patch
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import ground_detail
@@ -31,7 +31,7 @@ from skugga.terrain.facts.visible_points import probes_in_map
 from skugga.terrain.gbuffer.bare_ground import bare_ground
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
@@ -102,8 +102,8 @@ def draw_with_everything(scene: Scene) -> list[object]:
     probes = probes_in_map(scene, descriptor.pixel_m, None)
     overview_probes(scene.world, scene.elevation, probes)
     plan = make_plan(descriptor, scene.loaded.level, {"algorithm": "shadow_map"})
-    buffer, real = geometry_of(scene, view), truth_of_view(scene, view, "sun")
-    block = geometry_of(scene, scene.view(size=(64, 64)))
+    buffer, real = geometry_buffer(scene, view), truth_of_view(scene, view, "sun")
+    block = geometry_buffer(scene, scene.view(size=(64, 64)))
     attached(block, scene)
     assert isinstance(view, PerspectiveView)
     ground_mesh(scene, view, 100)  # decimated
@@ -117,7 +117,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     rim_points(scene, nodes)
     compute(scene, nodes, ProductRequest(product="height"), None)
     point = place_at(scene, tuple(place(240, 200)))
-    horizon_round(surroundings(scene, point))
+    horizon_profile(load_surroundings(scene, point))
     real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)
     return [probes, buffer, real, block, point]
 

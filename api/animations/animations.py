@@ -22,7 +22,7 @@ from skugga.api.exhaustion import exhausted_error, in_thread
 from skugga.api.settings import Settings
 from skugga.api.workers.admission import retry_after_s
 from skugga.terrain.cache import Cache, Missing
-from skugga.terrain.errors import BusyError, Problem, InputError, RenderError, SkuggaError
+from skugga.terrain.errors import BusyError, InputError, Problem, RenderError, SkuggaError
 
 ID_BYTES = 16
 """Of the random number that is an animation's name: nobody guesses one of 2**128."""

@@ -1,1 +1,1 @@
-"""The command line: `lazy_commands` lists the commands, `commands` has a module for each, the others do their work."""
+"""The command line: `lazy_commands` lists the commands, `commands` has one module for each, the other modules do the work."""

@@ -1,4 +1,4 @@
-"""Probes of a level's maps at all scales: one table, and what services on this device make plans of tiles by."""
+"""Probe a level's maps at all scales: print one table, and save the probes that services on this device plan tiles with."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from skugga.api.cli.times import duration_of
 from skugga.api.device_calibration import calibration
 from skugga.api.file_stamps import file_stamps, level_version, watched_files
 from skugga.api.map_probing import probe_maps
-from skugga.selector.kept_probes import save_probes
-from skugga.selector.map_probes import PROBED_FOR, MapProbes
+from skugga.selector.map_probes import PROBE_SETTINGS, MapProbes
 from skugga.selector.measure.probe import DEFAULT_BUDGET_S, ProbedView
+from skugga.selector.probe_store import save_probes
 from skugga.shadows.plan import Plan
-from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.errors import InputError, LevelError, Problem
 from skugga.terrain.gl import device as gl
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
@@ -28,19 +28,20 @@ from skugga.terrain.scene import build_scene
 def probe_all_scales(
     level: LevelSource, policy: str, overrides: dict[str, Any], sun: SunSpec | None, budget: str | None, write: bool
 ) -> tuple[list[tuple[int, Plan]], str | None]:
-    """The plans of a level's maps by scale (pixels of ``2 ** scale`` metres), and where what was probed is kept; ``budget``,
-    as 3s, is for each of them. Raises ``SkuggaError``.
+    """Return the plans of a level's maps by scale, and a message on the file of saved probes (``None`` unless ``write``).
+
+    A pixel has a side of ``2 ** scale`` metres. ``budget`` is the time of each probe as text, such as 3s. Raises ``SkuggaError``.
     """
     if policy != "probe":
-        raise InputError("--policy", policy, "probe beside --all-scales")
+        raise InputError("--policy", policy, "probe with --all-scales")
     for name, value in overrides.items():
-        if value is not None and name not in PROBED_FOR:
-            raise InputError(
-                f"--{name.replace('_', '-')}", value, "nothing beside --all-scales: tiles are drawn as the level has it"
+        if value is not None and name not in PROBE_SETTINGS:
+            raise InputError.conflict(
+                f"--{name.replace('_', '-')}", "--all-scales", "Leave it out: tiles use the value of the level file"
             )
     budget_s = DEFAULT_BUDGET_S if budget is None else duration_of("--budget", budget).total_seconds()
     loaded = load_level(level)
-    stamps = file_stamps(watched_files(loaded))  # before they are read, as a service does
+    stamps = file_stamps(watched_files(loaded))  # before the files are read, as a service does
     scene = build_scene(loaded).with_sun(sun)
     plans: list[tuple[int, Plan]] = []
 
@@ -59,12 +60,14 @@ def _kept(version: str, found: MapProbes) -> str:
     try:
         path = save_probes(renderer, driver, version, found)
     except OSError as error:
-        raise LevelError("--write", str(error.filename), f"a folder that can be written ({error.strerror})") from None
-    return f"Kept in {path}: services on this device make plans of this level's tiles by it. A change of the level begins anew."
+        raise LevelError(
+            "--write", Problem(f"{error.filename} cannot be written ({error.strerror})"), "Make its folder writable"
+        ) from None
+    return f"Saved to {path}. Services on this device plan this level's tiles with it. A change of the level invalidates it."
 
 
 def table_of_scales(plans: list[tuple[int, Plan]]) -> Table:
-    """The plans as a table, finest pixels first: choice, what is expected of it, and whether it meets the target."""
+    """Return the plans as a table, finest pixels first: choice, expected time and error, and whether it meets the target."""
     table = named_table("pixels", "choice", box=box.SIMPLE_HEAD)
     for name in ("time", "error"):
         table.add_column(name, justify="right")
@@ -75,5 +78,5 @@ def table_of_scales(plans: list[tuple[int, Plan]]) -> Table:
 
 
 def rows_of_scales(plans: list[tuple[int, Plan]]) -> list[dict[str, Any]]:
-    """The same as values for JSON, an object a scale, with its whole plan."""
+    """Return the plans as values for JSON: one object for each scale, with its whole plan."""
     return [{"pixel_m": 2.0**scale, **facts_of(plan)} for scale, plan in plans]

@@ -1,4 +1,4 @@
-"""Choices for all of a level's views at once: one table, and one list of pins in the level's file."""
+"""Plans of all views of a level: one table, and one list of pins in the level file."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from skugga.selector.pin import PIN_COMMENT, PINS, pin, pins
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import NO_SHADOWS
 from skugga.terrain.describe import describe
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 
 
 def refuse_beside(option: str, view: str, asked: dict[str, object]) -> None:
-    """Raise ``InputError`` for options of one view that are given beside one that means many of them."""
+    """Raise ``InputError`` for options of a single view that are combined with an option for many views."""
     for name, value in ({"view": None if view == "map" else view} | asked).items():
         if value is not None:
-            raise InputError(f"--{name}", str(value), f"nothing beside {option}: what is drawn is as the level has it")
+            raise InputError.conflict(f"--{name}", option, f"Leave out --{name}: the views are those of the level file")
 
 
 def plan_all_views(
@@ -39,8 +39,9 @@ def plan_all_views(
     ignore_pins: bool = False,
     budget: str | None = None,
 ) -> list[PlannedView]:
-    """Choose for each of a level's views, and for ``map``, the view of its tiles; ``ignore_pins``: as if none had been pinned into
-    its file. ``budget`` is for each of them. Raises ``SkuggaError``.
+    """Plan each view of a level, and ``map``, the view of its tiles.
+
+    ``ignore_pins`` ignores the pins of the level file. ``budget`` is the time of each probe as text. Raises ``SkuggaError``.
     """
     scene, _ = scene_and_view(level, "map", sun, seconds=seconds)
     if ignore_pins:
@@ -50,14 +51,16 @@ def plan_all_views(
 
 
 def pin_all(choices: Sequence[PlannedView]) -> str:
-    """Pin each view's choice into the level's file; says what was written and where.
+    """Pin the choice of each view into the level file; return a message on what was written and where.
 
-    Raises ``LevelError`` for a file that cannot be written, ``InputError`` where nothing casts in any view.
+    Raises ``LevelError`` if the file cannot be written, ``InputError`` if no view has a shadow caster.
     """
     casting = [choice for choice in choices if _casts(choice.plan)]
     path = choices[0].path
     if not casting:
-        raise InputError("--write", "all views", "a sun with a cast shadow in some view")
+        raise InputError(
+            "--write", Problem("no view has a cast shadow, so no choice can be pinned"), "Choose a sun that casts shadows"
+        )
     chosen = [
         {"view": choice.plan.view, **pins(choice.plan, describe(choice.scene, choice.view, choice.plan.view), _level(choice))}
         for choice in casting
@@ -72,7 +75,7 @@ def pin_all(choices: Sequence[PlannedView]) -> str:
 
 
 def table_of(choices: Sequence[PlannedView]) -> Table:
-    """The choices as a table: view, sun, choice, what is expected of it, and whether it meets the target."""
+    """Return the choices as a table: view, sun, choice, expected time and error, and whether it meets the target."""
     table = named_table("view", "sun", "choice", box=box.SIMPLE_HEAD)
     for name in ("time", "error"):
         table.add_column(name, justify="right")
@@ -84,7 +87,7 @@ def table_of(choices: Sequence[PlannedView]) -> Table:
 
 
 def rows_of(choices: Sequence[PlannedView]) -> list[dict[str, Any]]:
-    """The same as values for JSON, an object a view, with its whole plan."""
+    """Return the choices as values for JSON: one object for each view, with its whole plan."""
     return [
         {
             "view": choice.plan.view,
@@ -96,7 +99,7 @@ def rows_of(choices: Sequence[PlannedView]) -> list[dict[str, Any]]:
 
 
 def facts_of(plan: Plan) -> dict[str, Any]:
-    """What a row says of a plan, as values for JSON, with the whole plan."""
+    """Return the cells of a plan's row as values for JSON, with the whole plan."""
     predicted = plan.predicted
     return {
         "choice": choice_of(plan),
@@ -108,7 +111,7 @@ def facts_of(plan: Plan) -> dict[str, Any]:
 
 
 def cells_of(plan: Plan) -> tuple[str, str, str, str]:
-    """What a table says of a plan: choice, what is expected of it (time and error), and whether it meets the target."""
+    """Return the cells of a plan's row: choice, expected time, expected error, and whether it meets the target."""
     predicted = plan.predicted
     time, error = ("", "") if predicted is None else (format_duration(predicted.ms), format_percent(predicted.wrong_cast))
     met = {True: "met", False: "missed", None: "not predicted"}[plan.target.met] if _casts(plan) else ""
@@ -116,10 +119,10 @@ def cells_of(plan: Plan) -> tuple[str, str, str, str]:
 
 
 def choice_of(plan: Plan) -> str:
-    """Algorithms, and the settings of maps that are one for all, as ``shadow_map 2048``."""
+    """Return the algorithms of a plan and its requested map sizes, such as ``shadow_map 2048``."""
     if not _casts(plan):
         return NO_SHADOWS
-    asked = [step.settings.asked_as.get("map_size") for step in plan.steps if step.settings is not None]
+    asked = [step.settings.as_overrides.get("map_size") for step in plan.steps if step.settings is not None]
     return " ".join([plan.headline, *(str(size) for size in dict.fromkeys(asked) if size is not None)])
 
 

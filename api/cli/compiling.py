@@ -1,4 +1,4 @@
-"""``skugga compile``, and the progress of compiling in other commands."""
+"""``skugga compile``, and the progress bar of compilation in other commands."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from skugga.api.cli.progress import Advance, ProgressBar
-from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.atomic_files import disk_error
+from skugga.terrain.compiling.ahead_of_time import PRODUCTS, compile_ahead
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import RenderError
-from skugga.terrain.whole_files import disk_error
 
 
 def compile_for_command(products: Sequence[str]) -> int:
-    """Compile the loops that a command misses; return how many those were."""
+    """Compile the loops that a command needs and the store lacks; return their number."""
     bars: list[Advance] = []
     total_loops = 0
     with ExitStack() as stack:
@@ -32,9 +32,9 @@ def compile_for_command(products: Sequence[str]) -> int:
 
 
 def compile_everything() -> str:
-    """Compile all loops that are stored nowhere; return what was done, in a sentence.
+    """Compile all loops that no store has; return a sentence for the user.
 
-    Raises ``OSError`` if the store cannot be written, ``RenderError`` if loops are missing in it all the same.
+    Raises ``OSError`` if the store cannot be written, ``RenderError`` if it still lacks loops afterwards.
     """
     from skugga.terrain.compiling.farm import missing_tasks
     from skugga.terrain.compiling.loop_cache import loop_store
@@ -47,14 +47,14 @@ def compile_everything() -> str:
     missing = len(missing_tasks(PRODUCTS))
     if missing:
         _check_room(folder)
-        raise RenderError(f"{folder}: {missing} loops are still missing. They are compiled when they are called.")
+        raise RenderError(f"{folder}: {missing} loops are still missing. Commands compile them on first use.")
     if not count:
         return f"Nothing to compile: all loops are in {folder}"
     return f"Compiled {count} loops in {clock.perf_counter() - start:.0f} s into {folder}"
 
 
 def _check_room(folder: Path) -> None:
-    """Raise ``OSError`` with the folder if no file can be written there."""
+    """Raise ``OSError``, which names the folder, if no file can be written to it."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     if (refused := disk_error(folder / "loops")) is not None:
         raise OSError(refused.errno, refused.strerror, str(folder))

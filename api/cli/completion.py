@@ -1,4 +1,4 @@
-"""What shells complete on a command line: words of options, and levels. Where nothing fits, shells complete files."""
+"""Shell completion of option values and levels. Without a match, shells complete file names themselves."""
 
 from __future__ import annotations
 
@@ -11,12 +11,17 @@ from skugga.terrain.level.rasters import LEVEL_SUFFIXES
 
 
 def complete_words(words: Iterable[object]) -> Callable[[str], list[str]]:
-    """Return a function that completes any of some words, as Typer takes one for an option.
+    """Return a completion function for an option of Typer.
 
     Parameters
     ----------
     words
-        All words, in the order in which they are offered. They are read when something is completed.
+        All values, in the order of the suggestions. They are read at the time of completion.
+
+    Returns
+    -------
+    callable
+        Function of the incomplete word that returns the matching words.
 
     Examples
     --------
@@ -31,17 +36,18 @@ def complete_words(words: Iterable[object]) -> Callable[[str], list[str]]:
 
 
 def complete_level(incomplete: str) -> list[str]:
-    """Complete the name of a bundled level, or that of a level file, a raster or a folder.
+    """Return the bundled levels, level files, rasters and folders that begin with a text.
 
     Parameters
     ----------
     incomplete
-        What is typed so far.
+        The text typed so far.
 
     Returns
     -------
     list of str
-        Names, then files; nothing where only folders fit, since shells complete those better: without a space behind them.
+        Names of bundled levels, then files and folders. Empty if only folders match: shells complete these without a space
+        after them, which is better.
     """
     names = [path.stem for path in bundled_levels() if path.stem.startswith(incomplete)]
     folder, begin = os.path.split(incomplete)

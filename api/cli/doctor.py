@@ -1,4 +1,4 @@
-"""What this machine renders with, and what is missing."""
+"""Checks of the packages, OpenGL devices and caches of this machine."""
 
 from __future__ import annotations
 
@@ -15,7 +15,17 @@ PACKAGES = ("moderngl", "PyOpenGL", "numpy", "numba", "rasterio", "pyproj", "pvl
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: whether it is in order, and the detail or the remedy."""
+    """The result of one check.
+
+    Attributes
+    ----------
+    subject
+        What was checked.
+    ok
+        Whether it works.
+    detail
+        A detail, or the remedy.
+    """
 
     subject: str
     ok: bool
@@ -23,7 +33,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Look at everything; never raises."""
+    """Return the findings of all checks; never raises."""
     return [
         Finding("Python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.machine()}"),
         *map(_package, PACKAGES),
@@ -56,7 +66,7 @@ def _opengl() -> Finding:
 
 
 def _egl_devices() -> list[Finding]:
-    """Each device that EGL lists, asked what it draws with. One that draws nothing is no fault while another one does."""
+    """Return a finding for each EGL device. A device that cannot render is no fault, because another one may."""
     from skugga.terrain.gl.device import device
     from skugga.terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probed_device
 
@@ -72,15 +82,15 @@ def _egl_devices() -> list[Finding]:
     for each in devices:
         answer = probed_device(each.index)
         words = [f"no OpenGL 4.3 context ({answer.fault})" if answer.fault else f"{answer.renderer}, {answer.version}"]
-        words += ["in software"] * each.software + [each.name] * bool(each.name) + ["drawn with"] * (each.index == used)
+        words += ["in software"] * each.software + [each.name] * bool(each.name) + ["in use"] * (each.index == used)
         found.append(Finding(f"EGL device {each.index}", True, ", ".join(words)))
     if len(devices) > 1:
-        found.append(Finding("several devices", True, f"{EGL_DEVICE} says which are drawn with"))
+        found.append(Finding("several devices", True, f"{EGL_DEVICE} selects the devices to use"))
     return found
 
 
 def _calibration() -> Finding:
-    """What predictions go by; without it the rules choose, which is no fault."""
+    """Check the calibration that predictions use. Without one the rules choose, so a missing one is no fault."""
     from skugga.selector.cost.device_profile import load_profile, missing_profile_reason
     from skugga.terrain.gl.device import device
 
@@ -92,13 +102,13 @@ def _calibration() -> Finding:
     text = (
         missing_profile_reason(gl.renderer, gl.version)
         if profile is None
-        else (f"of {profile.renderer}, {profile.version}, measured on {profile.measured:%Y-%m-%d}")
+        else (f"{profile.renderer}, {profile.version}, measured on {profile.measured:%Y-%m-%d}")
     )
     return Finding("calibration", True, text or "")
 
 
 def _drawing() -> Finding:
-    """Draw a small known map: the whole path from a level to a frame."""
+    """Render a small map of known shadow: this checks the whole path from a level to a frame."""
     from skugga.api.catalogue import find_level
     from skugga.api.cli.snapshot import snapshot
     from skugga.api.products.mask import MASK_LIT, MASK_SHADOW
@@ -115,7 +125,7 @@ def _drawing() -> Finding:
 
 
 def _compiled_loops() -> Finding:
-    """After a drawing, which compiles some."""
+    """Check the store of compiled loops. Call it after ``_drawing``, which compiles some."""
     from skugga.terrain.compiling.loop_cache import loop_store
 
     store = loop_store()

@@ -1,4 +1,4 @@
-"""``skugga render`` of a film: from its options to a file, and what it shows meanwhile."""
+"""``skugga render`` of a film: options, rendering, the file, and progress messages."""
 
 from __future__ import annotations
 
@@ -23,27 +23,39 @@ from skugga.api.film_span import USUAL_FPS, film_span
 from skugga.selector.film import FilmFrame, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
+from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.compiled import CORES
-from skugga.terrain.errors import InputError, printable
+from skugga.terrain.errors import InputError, Problem, printable
 from skugga.terrain.level.camera_file import load_camera_path
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
-from skugga.terrain.whole_files import write_whole
 
 MAX_FRAMES_AHEAD = 4
-"""Frames that are drawn at a time beside the one that is waited for: each takes some 100 MB."""
+"""Frames rendered in parallel ahead of the one being written. Each takes some 100 MB."""
 
 FIRST_FRAMES, EXPECTS_ANEW = 5, 1.5
-"""Frames after which a film's size and time are told, and by how much these change before they are told again: the first ones are
-often of the night.
+"""Frames before the first estimate of a film's size and time, and the factor of change that prints a new estimate. The first
+frames often show the night, which compresses well.
 """
 
 
 @dataclass(frozen=True)
 class FilmOptions:
-    """The options that make a picture a film, as they were given."""
+    """The options of a film, as the user wrote them.
+
+    Attributes
+    ----------
+    start, end, step
+        First and last time (or clock reading) and the interval between frames.
+    path
+        Camera file.
+    fps
+        Frames per second of playback.
+    lossless
+        Whether a .webp film is compressed without loss.
+    """
 
     start: str | None
     end: str | None
@@ -54,7 +66,7 @@ class FilmOptions:
 
     @property
     def given(self) -> list[str]:
-        """Their names."""
+        """Names of the options that were used."""
         values = {"--from": self.start, "--to": self.end, "--step": self.step, "--path": self.path, "--fps": self.fps}
         return [*(name for name, value in values.items() if value is not None), *(["--lossless"] if self.lossless else [])]
 
@@ -74,22 +86,23 @@ def render_film(
     look: Look = (None, None),
     stats: Path | None = None,
 ) -> None:
-    """Draw a film of a level into a file; all its frames are looked at before the first is drawn. Raises ``SkuggaError`` and
-    ``OSError``.
+    """Render a film of a level to a file. All frames are checked before the first is rendered.
+
+    Raises ``SkuggaError`` and ``OSError``.
     """
     if layer != "color":
-        raise InputError("--layer", layer, "color: films are of what is seen")
+        raise InputError("--layer", layer, "color, the only layer of films")
     if options.lossless and output.suffix.lower() != ".webp":
-        raise InputError("--lossless", str(output), "a film as .webp: frames of .png lose nothing, and .mp4 always does")
+        raise InputError("--lossless", Problem(f"{output} is no .webp film"), "Use .webp, or .png frames, which are lossless")
     if options.path is not None and view != "map":
-        raise InputError("--view", view, "nothing beside --path, which says where the camera is")
+        raise InputError.conflict("--view", "--path", "Leave out --view: the path sets the camera")
     check_targets(level, [("--stats", stats)], options.path)
     check_seconds(seconds)
     path = None if options.path is None else load_camera_path(options.path)
     fps = USUAL_FPS if options.fps is None else options.fps
     span = film_span(options.start, options.end, options.step, fps, path, seconds)
     if sun is not None and span.start is not None:
-        raise InputError("--time", "given", "one way to say when: --from is there already")
+        raise InputError.conflict("--time", "--from")
     loaded = load_level(level)
     need_for_view(loaded, view)
     scene = build_scene(loaded).with_sun(sun)
@@ -109,13 +122,13 @@ def render_film(
             frames = film_frames(scene, request, moments, replanner, min(CORES, MAX_FRAMES_AHEAD))
             write_film(output, told.colors(frames), len(moments), fps, options.lossless, told.expect)
         if stats is not None:
-            write_whole(stats, json.dumps({"level": scene.loaded.name, "fps": fps, **told.statistics}, indent=2) + "\n")
+            write_atomically(stats, json.dumps({"level": scene.loaded.name, "fps": fps, **told.statistics}, indent=2) + "\n")
     finally:
         scene.close()
 
 
 class _Told:
-    """Frames on their way to a file, and what is told of them."""
+    """Reports the progress of frames on their way to the file, and collects their statistics."""
 
     def __init__(self, shown: LinesOverBar, total: int) -> None:
         self._shown, self._total, self._begin = shown, total, clock.perf_counter()
@@ -139,7 +152,10 @@ class _Told:
             begin = clock.perf_counter()
 
     def expect(self, written: int, size: int) -> None:
-        """Tell how large a film will be and how long it takes, by what is written of it: early, and where that turns out wrong."""
+        """Print the expected size and remaining time of the film, extrapolated from the frames written so far.
+
+        It is printed once early, and again whenever the estimate changes by the factor ``EXPECTS_ANEW``.
+        """
         if not FIRST_FRAMES <= written < self._total or size == 0:
             return
         a_frame_s = (clock.perf_counter() - self._begin) / self._drawn
@@ -148,7 +164,7 @@ class _Told:
         if wrong > EXPECTS_ANEW:
             self._said = expected
             left = _time(a_frame_s * (self._total - self._drawn))
-            self._shown.line(f"{self._total} frames: about {_size(expected[0])} in all, {left} left")
+            self._shown.line(f"{self._total} frames: about {_size(expected[0])} in total, {left} left")
 
     def _note(self, frame: FilmFrame, drawn_s: float) -> None:
         moment = frame.moment
@@ -157,7 +173,7 @@ class _Told:
             "time": None if moment.time is None else moment.time.isoformat(),
             "seconds": moment.second,
             "algorithm": frame.plan.headline,
-            "share": 1.0 if frame.handover is None else frame.handover.share,
+            "share": 1.0 if frame.transition is None else frame.transition.share,
             "ms": 1000.0 * drawn_s,
         })  # fmt: skip
         if frame.switch is not None:
@@ -167,7 +183,7 @@ class _Told:
 
 
 def _size(count: float) -> str:
-    """So many bytes in words, of two digits."""
+    """Return a number of bytes as text with two significant digits."""
     for unit, bytes_of in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if count >= bytes_of:
             return f"{float(f'{count / bytes_of:.2g}'):g} {unit}"
@@ -175,5 +191,5 @@ def _size(count: float) -> str:
 
 
 def _time(seconds: float) -> str:
-    """So many seconds in words."""
+    """Return a duration in seconds as text."""
     return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} minutes"

@@ -1,4 +1,4 @@
-"""``skugga init``: the level file that says what a raster is by itself, with comments on all else that may be said."""
+"""``skugga init``: write a level file with the defaults of a raster, and with comments on further keys."""
 
 from __future__ import annotations
 
@@ -9,53 +9,53 @@ from typing import Any
 
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.warnings import say_warnings
-from skugga.terrain.errors import InputError
+from skugga.terrain.atomic_files import write_atomically
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import METRES_PER_UNIT, PerspectiveSpec, SunSpec
 from skugga.terrain.level.rasters import is_level_raster
 from skugga.terrain.scene import Scene, build_scene
 from skugga.terrain.viewpoint import good_view
-from skugga.terrain.whole_files import write_whole
 
 FIRST_VIEW = "view"
-"""Name of the perspective view that is proposed."""
+"""Name of the suggested perspective view."""
 
 
 def write_first_level(source: LevelSource, output: Path | None, force: bool) -> Path:
-    """Write a raster's level file, by default ``NAME.yaml`` here; its path.
+    """Write the level file of a raster, by default ``NAME.yaml`` in the current folder; return its path.
 
-    Raises ``InputError`` for a level that is no raster, and for a file that is there already unless ``force`` is given; else as
-    ``build_scene``, and ``OSError``.
+    Raises ``InputError`` if the level is not a raster, or if the file exists and ``force`` is false. Raises ``OSError``, and the
+    errors of ``build_scene``.
     """
     loaded = load_level(source)
     if not is_level_raster(source.path):
-        raise InputError("LEVEL", str(source.path), "a raster of heights: this is a level file already")
+        raise InputError("LEVEL", str(source.path), "a raster of heights; this is already a level file")
     path = Path(f"{source.path.stem}.yaml") if output is None else output
     if path.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError("--output", str(path), "a level file: .yaml or .yml")
+        raise InputError("--output", str(path), "a file name that ends in .yaml or .yml")
     if path.exists() and not force:
-        raise InputError("--output", str(path), "a file that is not there yet; --force writes over one")
+        raise InputError("--output", Problem(f"{path} exists"), "Use --force to overwrite it")
     check_targets(source, [("--output", path)])
     scene = build_scene(loaded)
     try:
         say_warnings(scene, with_objects=False)
         view = good_view(scene.world, scene.elevation, scene.sun)
-        write_whole(path, level_text(scene, source, view, path.resolve().parent))
+        write_atomically(path, level_text(scene, source, view, path.resolve().parent))
     finally:
         scene.close()
     return path
 
 
 def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, folder: Path) -> str:
-    """The level file of a raster's scene, to lie in a folder.
+    """Return the text of the level file of a raster's scene; paths in it are relative to ``folder``.
 
-    Lines that begin with "#" and one blank are comments; the other lines that begin with "#" are parts of a level, left out.
+    Lines that begin with "#" and exactly one space are comments. Other lines that begin with "#" are optional keys.
     """
     sun, low_m, unit = scene.loaded.level.sun, scene.height_range_m[0], scene.elevation.vertical.unit
     assert isinstance(sun, SunSpec)
     at = "0, 0" if scene.world.flat else f"{scene.world.anchor_lon_deg:.6f}, {scene.world.anchor_lat_deg:.6f}"
-    positions = "metres east and north of the middle" if scene.world.flat else "longitude, latitude"
+    positions = "metres east and north of the centre" if scene.world.flat else "longitude, latitude"
     nodata = f"  nodata: {source.nodata!r}" if source.nodata is not None else "#  nodata: 0"
     views = ["  map: {kind: map}"]
     if view is not None:
@@ -68,49 +68,49 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
     meshes = [f"  - source: {_file(folder, source.buildings)}"] if source.buildings else None
     return "\n".join(
         [
-            "# A level of Skugga. `skugga validate` checks it, `skugga serve` shows it. A line that has no blank behind its # or",
-            "# more than one is a part of the level that is left out: take the # away to have it.",
+            "# A level of Skugga. `skugga validate` checks it, `skugga serve` shows it. Lines with # and exactly one space are",
+            "# comments. All other lines with # are optional keys of the level: remove the # to use them.",
             "version: 1",
             f"title: {_quoted(source.path.stem)}",
             '#attribution: "Whose data these are"',
             "",
             "terrain:",
             f"  source: {_file(folder, source.path)}",
-            "# Cells of this value have no height, besides those that the file declares empty.",
+            "# Cells of this value have no height, in addition to the nodata cells of the file.",
             nodata,
-            f"# Of heights, where the file does not say: {', '.join(METRES_PER_UNIT)}. Depths are positive down.",
+            f"# Unit of heights if the file states none: {', '.join(METRES_PER_UNIT)}. Depths are positive down.",
             f"{'  ' if source.units else '#  '}units: {unit if unit in METRES_PER_UNIT else 'm'}",
             f"{'  ' if source.positive else '#  '}positive: {scene.elevation.vertical.positive}",
-            "# Heights are multiplied by this.",
+            "# Factor of heights.",
             "#  exaggeration: 1",
-            "# A picture of the ground, as an RGB raster.",
+            "# Colour of the ground: an RGB raster.",
             "#  imagery: ortho.tif",
             "",
-            "# An afternoon's sun of this place, low enough that its slopes throw shadows (at the equinox; beyond 60 degrees of",
-            "# latitude at midsummer). Degrees: azimuth clockwise from north, altitude above the horizon. Or a moment, as",
+            "# An afternoon sun of this place, low enough for its slopes to cast shadows (at the equinox; beyond 60 degrees of",
+            "# latitude at midsummer). Degrees: azimuth clockwise from north, altitude above the horizon. Or a time, such as",
             '# sun: {time: "2024-10-21T16:30:00+02:00"}',
             f"sun: {{azimuth: {sun.azimuth:g}, altitude: {sun.altitude:g}}}",
             "",
             "views:",
             *views,
             "",
-            "# Whatever ground lies lower than this (metres) is under water.",
+            "# Ground below this height (metres) is under water.",
             f"#water: {{level: {low_m:.1f}}}",
             "",
-            "# Trees: a raster of canopy heights, points (one a tree), or polygons with a density (trees a hectare).",
+            "# Trees: a raster of canopy heights, points (one per tree), or polygons with a density (trees per hectare).",
             *_part("forest", forest, ["  - source: woods.geojson", "    density: 300", "    height: [9, 22]"]),
             "",
-            "# Buildings: footprints with a height in metres, or the name of an attribute that has it; models: OBJ, PLY or glTF.",
+            "# Buildings: footprints with a height in metres or the name of a height attribute; or models: OBJ, PLY or glTF.",
             *_part("meshes", meshes, ["  - source: houses.geojson", "    height: height_m"]),
             "",
             f"# Lamps. Positions: {positions}, metres above the ground.",
             "#lights:",
             f"#  lamp: {{kind: omni, position: [{at}, 10]}}",
             "",
-            "# Visibility in metres, the share of the sky behind clouds, whether snow lies.",
+            "# Visibility in metres, share of the sky under clouds (0 to 1), and whether snow lies.",
             "#weather: {visibility: 40000, cloud_cover: 0.3, snow: false}",
             "",
-            "# How shadows are made. Left to itself, Skugga chooses, and `skugga select` says why.",
+            "# Shadow algorithm and target. By default Skugga chooses; `skugga select` gives the reasons.",
             "#shadows: {algorithm: auto, max_error: 0.03}",
             "",
         ]
@@ -118,12 +118,12 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
 
 
 def _part(name: str, stated: list[str] | None, example: list[str]) -> list[str]:
-    """A part of the level, or an example of it that is left out."""
+    """Return the lines of a key of the level, or of a commented example of it."""
     return [f"{name}:", *stated] if stated else [f"#{name}:", *(f"#{line}" for line in example)]
 
 
 def _file(folder: Path, file: Path) -> str:
-    """A file's path as a level file in a folder states it: from there if it lies below, else whole."""
+    """Return the quoted path of a file for a level file: relative if the file lies in the folder, else absolute."""
     whole = file.resolve()
     return _quoted(os.fspath(whole.relative_to(folder) if whole.is_relative_to(folder) else whole))
 

@@ -1,4 +1,4 @@
-"""LEVEL on a command line, and the options of a raster that is a level by itself."""
+"""The argument LEVEL, and the options that describe a raster used as a level."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 
 from skugga.api.catalogue import find_level
 from skugga.api.cli.completion import complete_level, complete_words
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 _LEVEL = Annotated[
     str,
     typer.Argument(
-        metavar="LEVEL", help="A bundled level's name, a level file, or a raster of heights.", autocompletion=complete_level
+        metavar="LEVEL", help="Name of a bundled level, a level file, or a raster of heights.", autocompletion=complete_level
     ),
 ]
 _LEVELS = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[LEVEL]...",
-        help="Level files, rasters, names, or archives of tiles (.pmtiles); NAME=FILE names a level. Without "
-        "--levels: all bundled levels by default.",
+        help="Level files, rasters, names of bundled levels, or archives of tiles (.pmtiles); NAME=FILE sets a level's name. "
+        "Default without --levels: all bundled levels.",
         autocompletion=complete_level,
     ),
 ]
@@ -44,29 +44,32 @@ UnitsOption = Annotated[
 PositiveOption = Annotated[
     str | None,
     typer.Option(
-        metavar="WAY", help="Where a raster's heights grow to: up, or down (depths).", autocompletion=complete_words(["up", "down"])
+        metavar="WAY",
+        help="Direction of a raster's heights: up, or down (depths).",
+        autocompletion=complete_words(["up", "down"]),
     ),
 ]
 
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}"
-"""Of a level that is named on the command line: nothing that means anything in an address."""
+"""Level names on the command line: no character that is special in a URL."""
 
 _OPTIONS: dict[str, Any] = {
     "canopy": Annotated[
         Path | None, typer.Option(metavar="FILE", help="Trees on a raster: a raster of canopy heights, or points.")
     ],
     "buildings": Annotated[Path | None, typer.Option(metavar="FILE", help="Buildings on a raster: footprints with heights.")],
-    "nodata": Annotated[float | None, typer.Option(metavar="VALUE", help="A raster's value of cells without a height.")],
+    "nodata": Annotated[float | None, typer.Option(metavar="VALUE", help="Value of the raster's cells without a height.")],
     "units": UnitsOption,
     "positive": PositiveOption,
 }
 
 
 def takes_level(function: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a command whose first parameter is ``level: LevelSource`` or ``levels: list[LevelSource]``: LEVEL is looked up for
-    it, with the options of a raster, which come last.
+    """Decorate a command whose first parameter is ``level: LevelSource`` or ``levels: list[LevelSource]``.
+
+    The command gets the argument LEVEL, which is resolved for it, and the options of a raster, which come last.
     """
-    # What the first parameter is annotated with is not shown, and need not be imported for it: anything stands for it.
+    # The annotation of the first parameter is replaced, so its type need not be imported.
     signature = inspect.signature(function, eval_str=True, locals={"LevelSource": Any})
     first, *others = signature.parameters.values()
     shown = first.replace(annotation=_LEVEL) if first.name == "level" else first.replace(annotation=_LEVELS, default=None)
@@ -89,24 +92,24 @@ def takes_level(function: Callable[..., None]) -> Callable[..., None]:
 def _find_all(names: list[str] | None, asked: dict[str, Any]) -> list[LevelSource]:
     for name, value in asked.items():
         if value is not None and len(names or ()) != 1:
-            raise InputError(f"--{name}", str(value), "one LEVEL beside it, the raster that it is about")
+            raise InputError(f"--{name}", Problem("needs exactly one LEVEL"), "Give only the raster that it describes as LEVEL")
     return [_find_named(name, asked) for name in names or ()]
 
 
 def _find_named(text: str, asked: dict[str, Any]) -> LevelSource:
-    """A level by its path, or by ``NAME=FILE``. A file that is there is a file, whatever it is called."""
+    """Return a level from a path or from ``NAME=FILE``. The path of an existing file is never split at '='."""
     name, equals, file = text.partition("=")
     if not equals or Path(text).exists():
         return _find(text, asked)
     if not re.fullmatch(NAME_PATTERN, name):
         raise InputError(
-            "LEVEL", text, "NAME=FILE with a NAME of letters, digits, '.', '_' and '-', which begins with none of these"
+            "LEVEL", text, "NAME=FILE with a NAME of letters, digits, '.', '_' and '-' that begins with a letter or a digit"
         )
     return _find(file, asked).model_copy(update={"name": name})
 
 
 def _find(name: str, asked: dict[str, Any]) -> LevelSource:
-    from skugga.terrain.level.level_source import LevelSource, direction_named, units_named
+    from skugga.terrain.level.level_source import LevelSource, parse_positive, parse_units
 
-    named = {"units": units_named("--units", asked["units"]), "positive": direction_named("--positive", asked["positive"])}
+    named = {"units": parse_units("--units", asked["units"]), "positive": parse_positive("--positive", asked["positive"])}
     return LevelSource(path=find_level(name), **{**asked, **named})

@@ -1,6 +1,7 @@
-"""The command line. Exit status 0: done, 1: the work failed, 2: the input is wrong; errors are one line.
+"""Entry point of the command line.
 
-Nothing is imported here that computes: help, completion and errors of usage answer at once. ``lazy_commands`` has the commands.
+Exit statuses are 0 (success), 1 (the work failed) and 2 (wrong input). An error is one line on standard error.
+This module imports nothing that computes, so that help, completion and usage errors are fast. ``lazy_commands`` has the commands.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import typer
 from skugga.api.cli.lazy_commands import CommandGroup
 from skugga.api.errors import exit_status
 from skugga.terrain.compiling.bundle import use_bundled_loops
-from skugga.terrain.compiling.hooks import compiled_by
+from skugga.terrain.compiling.hooks import missing_loop_compiler
 from skugga.terrain.errors import InputError, SkuggaError, printable
 from skugga.terrain.level.gdal_guard import cap_caches, forbid_code
 
@@ -31,7 +32,7 @@ app = typer.Typer(
 )
 
 _UsageError: Any = typer.BadParameter.__mro__[1]
-"""Typer's error of usage, which it exports under no name of its own."""
+"""Typer's usage error, which Typer does not export."""
 
 
 def _say_version(wanted: bool) -> None:
@@ -57,7 +58,7 @@ def main() -> None:
     forbid_code()
     cap_caches()
     try:
-        with _ended_in_order(), compiled_by(_compile_products):
+        with _ended_in_order(), missing_loop_compiler(_compile_products):
             status = app(sys.argv[1:] or ["--help"], prog_name="skugga", standalone_mode=False)
     except _UsageError as error:
         status = _fail(error.format_message(), 2)
@@ -73,11 +74,11 @@ def main() -> None:
         status = _fail(f"{error.filename or 'output'}: {error.strerror or error}", 1)
     except Exception as error:
         ended = error.__cause__
-        if isinstance(error, SystemError) and isinstance(ended, SystemExit | KeyboardInterrupt):  # a signal met a compiled loop
+        if isinstance(error, SystemError) and isinstance(ended, SystemExit | KeyboardInterrupt):  # signal in a compiled loop
             sys.exit(ended.code if isinstance(ended, SystemExit) else _fail("interrupted", 1))
         if debug:
             raise
-        status = _fail(f"internal error, {type(error).__name__}: {error}; --debug shows where", 1)
+        status = _fail(f"internal error: {type(error).__name__}: {error}. Use --debug to print the traceback", 1)
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -89,10 +90,10 @@ def _compile_products(products: Sequence[str]) -> None:
 
 @contextmanager
 def _ended_in_order() -> Iterator[None]:
-    """Signals that end a process end it by an exception, so that it leaves no half-written file beside its output."""
+    """Turn signals that end the process into an exception, so that cleanup removes partial files."""
 
     def end(number: int, _: object) -> None:
-        signal.signal(number, signal.SIG_IGN)  # once is enough: what follows removes files
+        signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the cleanup
         sys.exit(128 + number)
 
     numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
@@ -106,7 +107,7 @@ def _ended_in_order() -> Iterator[None]:
 
 
 def _fail(message: str, status: int, several: bool = False) -> int:
-    """Say what went wrong: one line, or one for each of ``several`` errors."""
+    """Print an error as one line, or as one line for each of ``several`` errors; return the exit status."""
     for line in message.split("\n") if several else [message]:
         typer.echo(printable(f"skugga: {' '.join(line.split())}"), err=True)
     return status

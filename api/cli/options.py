@@ -1,4 +1,4 @@
-"""Settings of shadows as options of a command, and as what they ask of a level's ``shadows``."""
+"""Shadow settings as options of a command, and their conversion to overrides of a level's ``shadows``."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from skugga.terrain.level.setting import FrontEnd, Setting, settings_of
 
 
 def with_shadow_options(command: FrontEnd, after: str = "crs") -> Callable[[FunctionT], FunctionT]:
-    """Decorate a command that takes ``**asked``: it has an option for every setting that it takes, ``after`` one of its own."""
+    """Decorate a command that takes ``**asked``: add an option for each shadow setting after its own option ``after``."""
     return takes_settings(command, _option, after)
 
 
 def overrides_of(command: FrontEnd, asked: dict[str, Any]) -> dict[str, Any]:
-    """Options as a request's changes of a level's ``shadows``. Raises ``InputError``."""
+    """Return options as overrides of a level's ``shadows``. Raises ``InputError``."""
     found = dict(asked)
     for each in settings_of(Shadows, command):
         given = found.get(each.name)

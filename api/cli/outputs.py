@@ -1,20 +1,20 @@
-"""Files that a command shall write: looked at before any work is done for them."""
+"""Checks of output files before a command starts its work."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from skugga.terrain.errors import InputError, SkuggaError
+from skugga.terrain.errors import InputError, Problem, SkuggaError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 
 
 def check_targets(level: LevelSource, targets: Iterable[tuple[str, Path | None]], *inputs: Path | None) -> None:
-    """Refuse to write over what is read: the level's file, any file that it names or leads to, and a command's other ``inputs``,
-    however they are spelt. ``targets`` are names of options with their files.
+    """Raise ``InputError`` if an output file is also an input.
 
-    Raises ``InputError``, and ``FileNotFoundError`` where there is no folder for a file.
+    Inputs are the level file, all files that it refers to, and ``inputs``. Files are compared by identity, not by spelling.
+    ``targets`` are pairs of an option and its file. Raises ``FileNotFoundError`` if the folder of an output does not exist.
     """
     for option, target in targets:
         if target is None:
@@ -25,16 +25,16 @@ def check_targets(level: LevelSource, targets: Iterable[tuple[str, Path | None]]
             continue
         for source in _read_by(level, inputs):
             if source.exists() and target.samefile(source):
-                raise InputError(option, str(target), f"another file: {source} is one that the level is made of")
+                raise InputError(option, Problem(f"{target} is the same file as the input {source}"), "Write to another file")
 
 
 def _read_by(level: LevelSource, inputs: tuple[Path | None, ...]) -> Iterator[Path]:
     yield from (each for each in (level.path, level.canopy, level.buildings, *inputs) if each is not None)
     try:
         sources = load_level(level).linked_sources
-    except SkuggaError:  # said when the level is loaded for its work
+    except SkuggaError:  # reported when the level is loaded for its work
         return
     for source in map(Path, sources):
         yield source
-        if source.suffix.lower() == ".shp":  # its attributes, index and CRS lie in files beside it
+        if source.suffix.lower() == ".shp":  # its attributes, index and CRS are in files of the same name
             yield from source.parent.glob(f"{source.stem}.*")

@@ -1,4 +1,4 @@
-"""A choice made from the command line: of a level's view, by a policy, and pinned into the level's file."""
+"""``skugga select``: plan a view of a level by a policy, and pin the choice into the level file."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from skugga.api.cli.times import duration_of
 from skugga.api.device_calibration import calibration_for
 from skugga.api.report.plan_text import POLICIES, format_choices, format_expectation, format_heading, format_view_and_sun
 from skugga.selector.choices import PolicyName
-from skugga.selector.pin import PIN_COMMENT, pin, pinned, pins, unpinned_values
+from skugga.selector.pin import PIN_COMMENT, default_values, pin, pinned_keys, pins
 from skugga.selector.planner.planner import make_plan as choose_by_rules
 from skugga.selector.select import plan_of_view
 from skugga.shadows.plan import Plan
+from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError, UnsupportedError
 from skugga.terrain.geo.camera import PerspectiveView
@@ -24,12 +25,21 @@ from skugga.terrain.level.level import LevelShadows
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
-from skugga.terrain.whole_files import write_whole
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedView:
-    """A plan, with the level's file, the scene and the view that it was made for."""
+    """A plan with its context.
+
+    Attributes
+    ----------
+    path
+        The level file.
+    scene, view
+        The scene and the view of the plan.
+    plan
+        The plan.
+    """
 
     path: Path
     scene: Scene
@@ -38,7 +48,7 @@ class PlannedView:
 
     @property
     def heading(self) -> str:
-        """Whose plan it is."""
+        """Heading of the plan: level, view, sun and policy."""
         return format_heading(self.scene, self.plan)
 
 
@@ -55,8 +65,10 @@ def plan_level_view(
     ignore_pin: bool = False,
     budget: str | None = None,
 ) -> PlannedView:
-    """Choose for a view of a level; ``ignore_pin``: as if no earlier choice had been pinned into its file. ``budget`` is the time
-    of the policy ``probe``, as 3s. Raises ``SkuggaError``.
+    """Plan a view of a level.
+
+    ``ignore_pin`` ignores a pinned choice of the level file. ``budget`` is the time of the policy ``probe`` as text, such as 3s.
+    Raises ``SkuggaError``.
     """
     scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
     if ignore_pin:
@@ -73,11 +85,11 @@ def plan_scene_view(
     overrides: dict[str, Any],
     budget: str | None = None,
 ) -> PlannedView:
-    """Choose for a view of a scene whose level is in a file. Raises ``SkuggaError``."""
+    """Plan a view of a scene whose level file is ``path``. Raises ``SkuggaError``."""
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
     if budget is not None and policy != "probe":
-        raise InputError("--budget", budget, f"nothing with --policy {policy}: it is the time of a probe")
+        raise InputError.conflict("--budget", f"--policy {policy}", "Use --policy probe, whose time it limits")
     budget_s = None if budget is None else duration_of("--budget", budget).total_seconds()
     device = calibration_for(scene.loaded.level.shadows, overrides) if policy != "rules" else None
     plan = plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device, budget_s)
@@ -85,10 +97,10 @@ def plan_scene_view(
 
 
 def pin_plan(choice: PlannedView) -> str:
-    """Pin a choice into the level's file; says what was written and where.
+    """Pin a choice into the level file; return a message on what was written and where.
 
-    Raises ``LevelError`` for a file that cannot be written, ``UnsupportedError`` where another view of the level could not be
-    drawn with the choice, ``InputError`` where nothing casts.
+    Raises ``LevelError`` if the file cannot be written, ``UnsupportedError`` if another view of the level does not support the
+    choice, ``InputError`` if the view has no shadow caster.
     """
     scene, plan = choice.scene, choice.plan
     level = scene.loaded.level
@@ -102,18 +114,18 @@ def pin_plan(choice: PlannedView) -> str:
 
 
 def write_descriptor(choice: PlannedView, path: Path) -> None:
-    """Write the facts that a choice is made from."""
+    """Write the descriptor of a view, which is the input of the choice, as JSON."""
     descriptor = describe(choice.scene, choice.view, choice.plan.view)
-    write_whole(path, descriptor.model_dump_json(indent=2) + "\n")
+    write_atomically(path, descriptor.model_dump_json(indent=2) + "\n")
 
 
 def unpinned(scene: Scene) -> Scene:
-    """A scene whose level asks of the shadows what it asked before something was pinned."""
-    return asking(scene, unpinned_values(pinned(scene.loaded.path)))
+    """Return a scene whose shadow settings are those before the pin."""
+    return asking(scene, default_values(pinned_keys(scene.loaded.path)))
 
 
 def asking(scene: Scene, changes: dict[str, Any]) -> Scene:
-    """A scene whose level asks something else of the shadows, by keys of ``shadows``."""
+    """Return a scene with changed shadow settings, by keys of ``shadows``."""
     level = scene.loaded.level
     shadows = LevelShadows.model_validate({**level.shadows.model_dump(exclude_unset=True), **changes})
     loaded = scene.loaded.model_copy(update={"level": level.model_copy(update={"shadows": shadows})})
@@ -124,12 +136,12 @@ def _check(scene: Scene, name: str, plan: Plan) -> None:
     try:
         choose_by_rules(describe(scene, scene.view(name), name), scene.loaded.level)
     except UnsupportedError as error:
-        reason = f"view {name} of this level could not be drawn with it: {error.value}: {error.allowed}"
+        reason = f"view {name} of the level cannot be drawn with {error.value}: {error.allowed}"
         raise UnsupportedError("--write", plan.headline, reason) from None
 
 
 def _why(choice: PlannedView) -> list[str]:
-    """The pin's comment: its first line is the one that it is known by."""
+    """Return the comment lines of a pin. The first line identifies it."""
     plan = choice.plan
     return [
         f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {POLICIES[plan.policy]}.",

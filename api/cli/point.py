@@ -1,4 +1,4 @@
-"""``skugga point``: from its options to a table, JSON, a horizon file and a chart."""
+"""``skugga point``: report the sun at points as tables or JSON; write horizon files and sky charts."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from skugga.api.point.polar_picture import sky_picture
 from skugga.api.point.report import around_point, clock_asked, day_asked, point_report
 from skugga.api.point.track import read_points, read_track, sun_at_points, with_arrivals
 from skugga.api.point.values import PointAnswerRow, PointQuery, PointReport, ReportedCaster, TrackPoint
-from skugga.shadows.point.horizon import Surroundings, horizon_round
-from skugga.terrain.compiling.ahead import POINTS
-from skugga.terrain.compiling.hooks import need
-from skugga.terrain.errors import MISSING_VALUE, InputError
-from skugga.terrain.geo.clock import clock_named, date_of
+from skugga.shadows.point.horizon import Surroundings, horizon_profile
+from skugga.terrain.atomic_files import write_atomically
+from skugga.terrain.compiling.ahead_of_time import POINTS
+from skugga.terrain.compiling.hooks import declare_product
+from skugga.terrain.errors import InputError, Problem
+from skugga.terrain.geo.clock import parse_clock, parse_date
 from skugga.terrain.level.level import load_level, parse_sun
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.whole_files import write_whole
 
 PICTURE_SUFFIXES = {".svg": "svg", ".png": "png"}
 
@@ -40,7 +40,29 @@ _LIT, _DARK, _NIGHT = "lit", "in shadow", "night"
 
 @dataclass(frozen=True)
 class PointOptions:
-    """What the command was asked. Texts are as they were given."""
+    """The options of the command. Texts are not parsed yet.
+
+    Attributes
+    ----------
+    at
+        ``LON,LAT`` in degrees, or ``x,y`` of ``crs``.
+    crs
+        CRS of ``at``.
+    sun
+        The sun of ``--time``; ``None`` without that option.
+    date, clock
+        The day, and the clock that it belongs to.
+    height
+        Height above the ground, metres.
+    year
+        Year of the hours of sun by day.
+    horizon, output
+        Format of the horizon, and its file (``None``: standard output).
+    picture
+        File of the sky chart.
+    as_json
+        Whether to print JSON.
+    """
 
     at: str | None
     crs: str | None
@@ -56,11 +78,11 @@ class PointOptions:
 
 
 def check_point_options(options: PointOptions, points: Path | None, line: Path | None, start: str | None) -> None:
-    """Refuse options that do not go together, before any work. Raises ``InputError``."""
+    """Raise ``InputError`` for options that exclude or need each other, before any work."""
     many = "--points" if points is not None else "--line" if line is not None else None
     if many is None:
         if options.at is None:
-            raise InputError("--at", MISSING_VALUE, "LON,LAT; or many points by --points or --line")
+            raise InputError.missing("--at", "Give LON,LAT, or many points with --points or --line")
     else:
         alone = {
             "--at": options.at, "--line": line if many == "--points" else None, "--horizon": options.horizon,
@@ -68,19 +90,19 @@ def check_point_options(options: PointOptions, points: Path | None, line: Path |
         }  # fmt: skip
         for name, value in alone.items():
             if value is not None:
-                raise InputError(name, str(value), f"no {many} beside it")
+                raise InputError.conflict(name, many)
     if start is not None and line is None:
-        raise InputError("--start", start, "a track to begin then: --line FILE")
+        raise InputError("--start", Problem("needs a track"), "Add --line FILE")
     if options.horizon is not None and options.horizon not in HORIZON_FORMATS:
-        raise InputError("--horizon", options.horizon, f"{', '.join(HORIZON_FORMATS)}; --output names a file for it")
+        raise InputError("--horizon", options.horizon, f"{', '.join(HORIZON_FORMATS)} (--output names the file)")
     if options.output is not None and options.horizon is None:
-        raise InputError("--output", str(options.output), f"--horizon FORMAT beside it: {', '.join(HORIZON_FORMATS)}")
+        raise InputError("--output", Problem("needs a horizon format"), f"Add --horizon FORMAT: {', '.join(HORIZON_FORMATS)}")
     if options.as_json and options.horizon is not None and options.output is None:
-        raise InputError("--json", "given", "--output FILE for --horizon beside it: one of both can be printed")
+        raise InputError.conflict("--json", "--horizon", "Add --output FILE for the horizon: only one of both can be printed")
 
 
 def report_point(level: LevelSource, options: PointOptions) -> None:
-    """Print a point's report, or its horizon where that is asked for and no file for it is named; write its horizon and its chart.
+    """Print the report of a point and write its horizon and sky chart. A horizon without a file is printed instead of the report.
 
     Raises ``SkuggaError`` and ``OSError``.
     """
@@ -88,7 +110,7 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
         raise InputError("--picture", str(options.picture), " or ".join(PICTURE_SUFFIXES))
     check_targets(level, [("--output", options.output), ("--picture", options.picture)])
     query, crs = _query(options, *_pair(options.at or "")), _crs(options.crs)
-    need(POINTS)
+    declare_product(POINTS)
     loaded = load_level(level)
     scene = build_scene(loaded).with_sun(options.sun)
     say_warnings(scene)
@@ -97,9 +119,9 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
         horizon = None if options.horizon is None else _horizon(around, options.horizon)
         report = point_report(scene, query, crs) if horizon is None or options.output is not None else None
         if horizon is not None and options.output is not None:
-            write_whole(options.output, horizon)
+            write_atomically(options.output, horizon)
         if options.picture is not None:
-            write_whole(options.picture, _picture(around, query, options.picture))
+            write_atomically(options.picture, _picture(around, query, options.picture))
     finally:
         scene.close()
     if report is None:
@@ -112,12 +134,15 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
 
 
 def report_points(level: LevelSource, file: Path, options: PointOptions) -> None:
-    """Print the sun at the points of a file. Raises as ``report_point``."""
+    """Print the sun at the points of a file. Raises the errors of ``report_point``."""
     _report_many(level, read_points(file, options.height), options)
 
 
 def report_line(level: LevelSource, file: Path, options: PointOptions, start: str | None, speed_kmh: float, every_m: float) -> None:
-    """Print the sun along a line: at each place when somebody is there who starts at a time. Raises as ``report_point``."""
+    """Print the sun along a line at the times of arrival, or at the level's time without ``start``.
+
+    Raises the errors of ``report_point``.
+    """
     points = read_track(file, every_m, options.height)
     if start is not None:
         spec = parse_sun(start, None, None)
@@ -128,8 +153,8 @@ def report_line(level: LevelSource, file: Path, options: PointOptions, start: st
 
 def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOptions) -> None:
     if not points:
-        raise InputError("--points", "no points", "at least one")
-    need(POINTS)
+        raise InputError("--points", Problem("the file has no points"), "Give at least one point")
+    declare_product(POINTS)
     scene = build_scene(load_level(level)).with_sun(options.sun)
     say_warnings(scene)
     try:
@@ -144,9 +169,9 @@ def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOpt
 
 
 def _query(options: PointOptions, lon: float, lat: float) -> PointQuery:
-    day = None if options.date is None else date_of("date", options.date)
+    day = None if options.date is None else parse_date("--date", options.date)
     if options.clock is not None:
-        clock_named("clock", options.clock)
+        parse_clock("--clock", options.clock)
     try:
         return PointQuery(lon=lon, lat=lat, height=options.height, date=day, clock=options.clock, year=options.year)
     except ValidationError as error:
@@ -158,7 +183,7 @@ def _pair(text: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError("--at", text, "two numbers: longitude and latitude in degrees, or x and y of --crs") from None
+        raise InputError("--at", text, "two numbers, longitude and latitude in degrees, or x and y in --crs") from None
     return x, y
 
 
@@ -168,11 +193,11 @@ def _crs(text: str | None) -> CRS | None:
     try:
         return CRS.from_user_input(int(text) if text.isascii() and text.isdigit() else text)
     except CRSError:
-        raise InputError("--crs", text, "a CRS that PROJ knows, as EPSG:32616") from None
+        raise InputError("--crs", text, "a CRS that PROJ knows, such as EPSG:32616") from None
 
 
 def _horizon(around: Surroundings, format: str) -> str:
-    return horizon_file(format, horizon_round(around, directions_for(format)), around.place)
+    return horizon_file(format, horizon_profile(around, directions_for(format)), around.place)
 
 
 def _picture(around: Surroundings, query: PointQuery, file: Path) -> bytes:
@@ -181,20 +206,20 @@ def _picture(around: Surroundings, query: PointQuery, file: Path) -> bytes:
     clock = clock_asked(scene, query, around.place.lon_deg, day)
     title = scene.loaded.level.title or scene.loaded.name
     format: Any = PICTURE_SUFFIXES[file.suffix.lower()]
-    return sky_picture(around, horizon_round(around), day, clock, format, title)
+    return sky_picture(around, horizon_profile(around), day, clock, format, title)
 
 
 def _show(report: PointReport, with_now: bool) -> None:
-    """The report as tables; ``with_now``: also the sun at a moment, which somebody chose."""
+    """Print the report as tables; ``with_now`` includes the sun at the chosen time."""
     from rich.table import Table
 
     console = wide_console()
     where = "" if report.lon is None else f"{report.lon:.6f}, {report.lat:.6f}; "
     above = f", {report.height_m:g} m above it" if report.height_m else ""
-    assert report.elevation_m is not None  # off the data there is an error, and no report
+    assert report.elevation_m is not None  # a point outside the data raises an error before
     console.print(f"{report.level}: {where}ground {report.elevation_m:.1f} m{above}")
     if report.now is not None and with_now:
-        when = "under the level's own sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "
+        when = "under the level's default sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "
         sun = f"sun at azimuth {report.now.azimuth:.1f}, altitude {report.now.altitude:.1f} degrees"
         console.print(f"{when}{_state(report.now.lit, report.now.altitude, report.now.by)} ({sun})")
     if report.day is not None:
@@ -214,7 +239,7 @@ def _show(report: PointReport, with_now: bool) -> None:
         for row in rows:
             table.add_row(*row)
         console.print(table)
-        intervals = Table("sun from", "to", "before that hidden by", "then hidden by", box=None)
+        intervals = Table("sun from", "to", "hidden before by", "hidden after by", box=None)
         for each in report.day.sunlit:
             intervals.add_row(_clock(each.begin), _clock(each.end), _caster(each.after), _caster(each.before))
         if report.day.sunlit:

@@ -1,4 +1,4 @@
-"""Options of products as options of a command."""
+"""Options of products as command-line options."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from skugga.api.cli.completion import complete_words
 from skugga.api.products import PRODUCTS
 from skugga.api.products.product import Product, ProductOptions
 from skugga.api.shown_parameters import FunctionT, takes_parameters
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 
 
 def with_product_options(products: Sequence[str], after: str) -> Callable[[FunctionT], FunctionT]:
-    """Decorate a command that takes ``**asked``: it has the options of some products, ``after`` one of its own."""
+    """Decorate a command that takes ``**asked``: add the options of some products after its own option ``after``."""
     names = dict.fromkeys(name for product in products for name in PRODUCTS[product].options.model_fields)
     return takes_parameters([(name, _product_option(name, products)) for name in names], after)
 
 
 def product_options(product: Product, asked: dict[str, Any]) -> tuple[ProductOptions, dict[str, Any]]:
-    """Return a product's options among those of a command, and the command's others. Raises ``InputError``."""
+    """Split a command's options into those of a product and the remaining ones. Raises ``InputError``."""
     fields = product.options.model_fields
     others = {name for each in PRODUCTS.values() for name in each.options.model_fields} - fields.keys()
     for name in sorted(others):
         if asked.get(name) is not None:
             of = " or ".join(each.name for each in PRODUCTS.values() if name in each.options.model_fields)
-            raise InputError(_flag(name), asked[name], f"nothing: it is an option of {of}, not of {product.name}")
+            raise InputError(_flag(name), Problem(f"is an option of {of}, not of {product.name}"), "Leave it out")
     given = {name: value for name, value in asked.items() if name in fields and value is not None}
     try:
         options = product.options_of(given)
     except InputError as error:
-        raise InputError(_flag(error.name), error.value, error.allowed) from None
+        raise error.renamed(_flag(error.name)) from None
     return options, {name: value for name, value in asked.items() if name not in fields and name not in others}
 
 
@@ -41,7 +41,7 @@ def _flag(name: str) -> str:
 
 
 def _product_option(name: str, products: Sequence[str]) -> Any:
-    """An option of products as one of a command: a text, which the product reads."""
+    """Return the annotation of a product option as a command option. Its value is text, which the product parses."""
     of = [product for product in products if name in PRODUCTS[product].options.model_fields]
     field = PRODUCTS[of[0]].options.model_fields[name]
     kinds = {*get_args(field.annotation), field.annotation}

@@ -1,4 +1,4 @@
-"""Progress of long work: bars and spinners on a terminal, lines elsewhere. Their library is imported when one is shown."""
+"""Progress of long work: bars and spinners on a terminal, lines elsewhere. Rich is imported when one is shown."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 Advance = Callable[[int, int], None]
-"""Called with how many blocks, or other parts, are done, and of how many."""
+"""Callback with the number of finished blocks (or other units of work) and their total."""
 
 
 @contextmanager
 def spinner(task: str) -> Iterator[None]:
-    """Show a sign of life on a terminal, for work that does not tell how far it is."""
+    """Show a spinner on a terminal during work of unknown progress."""
     if not sys.stderr.isatty():
         yield
         return
@@ -32,7 +32,7 @@ def spinner(task: str) -> Iterator[None]:
 
 
 class ProgressBar:
-    """A bar on a terminal for work of more than a few blocks; silent elsewhere. ``with`` gives what is called for each block."""
+    """A progress bar on a terminal for four or more blocks; silent elsewhere. ``with`` returns the callback for each block."""
 
     def __init__(self, task: str) -> None:
         self._title = task
@@ -59,7 +59,7 @@ class ProgressBar:
 
 
 class LinesOverBar:
-    """Lines on standard error; on a terminal with a bar under them, from the first part on that is done. Used by ``with``."""
+    """Lines on standard error, with a progress bar below them on a terminal once one unit is done. A context manager."""
 
     def __init__(self, task: str) -> None:
         self._task = task
@@ -80,23 +80,23 @@ class LinesOverBar:
 
     @property
     def on_terminal(self) -> bool:
-        """Whether somebody is looking."""
+        """Whether standard error is a terminal."""
         return self._console.is_terminal
 
     def say(self, text: str) -> None:
-        """What is told on a terminal alone."""
+        """Print a dim line on a terminal; print nothing elsewhere."""
         if self.on_terminal:
             self._console.print(text, style="dim", highlight=False, markup=False)
 
     def line(self, text: str) -> None:
-        """A line, above the bar."""
+        """Print a line above the bar."""
         if not self.on_terminal:
             typer.echo(text, err=True)
         else:
             self._console.print(text, highlight=False, markup=False)
 
     def advance(self, done: int, total: int) -> None:
-        """So many parts are done."""
+        """Set the number of finished units."""
         if not self.on_terminal:
             return
         if self._bar is None:

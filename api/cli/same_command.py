@@ -1,4 +1,4 @@
-"""The command line that runs, to be given again with other options."""
+"""Reconstruction of the running command line, for messages that suggest a variant of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import typer
 
 
 def same_command(context: typer.Context, *but: str) -> str:
-    """``skugga`` and the command, its arguments and options as they were given, without some options (by parameter name)."""
+    """Return the running command line as shell text, without the options ``but`` (parameter names)."""
     words = ["skugga", context.info_name or ""]
     for parameter in context.command.params:
         name, value = parameter.name or "", context.params.get(parameter.name or "")
@@ -25,5 +25,5 @@ def same_command(context: typer.Context, *but: str) -> str:
 
 
 def _word(value: object) -> str:
-    """A value as one would type it: 246 where it was read as 246.0."""
+    """Return a value as a user types it: 246 instead of 246.0."""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)

@@ -1,4 +1,4 @@
-"""``skugga seed``: from its options to archives, and what it shows meanwhile."""
+"""``skugga seed``: options, the seeding run, and its progress messages."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ TABLE = "tasks.sqlite"
 LOG = "log.jsonl"
 
 USUAL_TILE_BYTES = {"color": 84_000, "shadow": 13_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
-"""Of a tile that is full of relief, as PNG, where none was drawn yet: of mountains in colour (docs/scale.md), of others guessed."""
+"""Assumed bytes of a PNG tile full of relief until tiles are measured: colour from mountains (docs/scale.md), others guessed."""
 
 
 @dataclass(frozen=True)
 class SeedOptions:
-    """The command's options, as they were given."""
+    """The command's options, as the user wrote them; see ``commands/seed.py`` for their meaning."""
 
     output: Path
     zooms: str | None
@@ -76,7 +76,7 @@ class SeedOptions:
 
 
 def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) -> None:
-    """Draw a level's tiles ahead, or say what would be drawn. Raises ``SkuggaError`` and ``OSError``."""
+    """Render a level's tiles in advance, or print a forecast (``dry_run``). Raises ``SkuggaError`` and ``OSError``."""
     check_seeded_format(options.layer, options.format)
     if asked.get("algorithm") is not None:
         parse_algorithm(asked["algorithm"], "--algorithm", names=served_algorithms())
@@ -84,7 +84,7 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
         suns_of(parse_sun(options.time, options.azimuth, options.altitude), options.times, options.start, options.end, options.step)
     )
     if len(suns) > 1 and product_named(options.layer).when == "none":
-        raise InputError("--layer", options.layer, "one that changes with the sun, beside several times")
+        raise InputError("--layer", options.layer, "a layer that changes with the sun, for several times")
     paths = paths_by_time(options.output, suns)
     for path in paths:
         check_output(path)
@@ -97,11 +97,11 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
     shards = options.shards or str(work.resolve() / "shards")
     store = store_at(shards)
     if options.scheduler is not None and options.workers is not None:
-        raise InputError("--workers", options.workers, "nothing beside --scheduler: the cluster has its own")
+        raise InputError.conflict("--workers", "--scheduler", "Leave out --workers: the cluster has its own")
     with TaskTable(work / TABLE) as table, _Shown(work / LOG, options.as_json) as shown:
         workers = _Workers(options)
         if table.get("spec") is None and not options.dry_run:
-            workers.warm_up()  # while tasks are planned: surely there are some
+            workers.warm_up()  # in parallel with the planning of a new run, which has tasks
         try:
             run = plan_run(table, request, shown.say)
             outputs = dict(zip(run.sun_names, paths, strict=True))
@@ -118,14 +118,14 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
 
 
 class _Workers:
-    """What draws, here or on a cluster, by the options: render processes that warm up until a run is begun."""
+    """The workers of a run, local or on a cluster. They start and warm up before the run begins."""
 
     def __init__(self, options: SeedOptions) -> None:
         self._count, self._scheduler = options.workers or usable_cores(), options.scheduler
         self._warm: LocalPool | DaskCluster | None = None
 
     def warm_up(self) -> None:
-        """Start processes, here or on the cluster. Raises ``InputError`` where there is no cluster."""
+        """Start local or cluster workers. Raises ``InputError`` if the cluster cannot be reached."""
         if self._scheduler is None:
             self._warm = LocalPool(self._count)
         else:
@@ -134,7 +134,7 @@ class _Workers:
             self._warm = DaskCluster(self._scheduler)
 
     def begin(self, run: PlannedRun, shards: str) -> Runner:
-        """What draws a run."""
+        """Return the runner of a run."""
         if self._warm is None:
             self.warm_up()
         assert self._warm is not None
@@ -143,7 +143,7 @@ class _Workers:
         return runner
 
     def close(self) -> None:
-        """End what was started, and has not begun a run: that ends its own."""
+        """Stop workers that were started but not handed to a run; a run stops its own."""
         if self._warm is not None:
             self._warm.close()
 
@@ -153,12 +153,12 @@ def _zooms(text: str | None) -> ZoomRange | None:
         return None
     found = re.fullmatch(r"(\d{1,2})(?:-(\d{1,2}))?", text.strip())
     if not found or int(found[1]) > int(found[2] or found[1]):
-        raise InputError("--zooms", text, "a zoom or two, the first one first, as 8-13")
+        raise InputError("--zooms", text, "one zoom or a range of two, the lower one first, such as 8-13")
     return ZoomRange(int(found[1]), int(found[2] or found[1]))
 
 
 def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: SeedOptions) -> None:
-    """Print what would run, and why."""
+    """Print the tasks that would run, their reasons, and their expected time and size."""
     look_for_lost_shards(table, store)
     measured = table.measured()
     rows: list[dict[str, Any]] = []
@@ -202,7 +202,7 @@ def _format_bytes(count: float) -> str:
 
 
 class _Shown:
-    """What a run shows: a line for each task, with a bar below on a terminal; and the same as JSON lines in a file."""
+    """Progress of a run: a line for each task, with a bar on a terminal; the same as JSON lines in a log file."""
 
     def __init__(self, log: Path, quiet: bool) -> None:
         self._log, self._quiet = log, quiet
@@ -219,11 +219,11 @@ class _Shown:
             self._file.close()
 
     def say(self, text: str) -> None:
-        """What is done before the first task."""
+        """Print a step that precedes the first task, on a terminal only."""
         self._lines.say(text)
 
     def note(self, done: TaskEnd) -> None:
-        """A task has ended."""
+        """Report the end of a task."""
         task, outcome = done.task, done.outcome
         place = f"zoom {task.zoom} block {task.x},{task.y}"
         said: dict[str, Any] = {"task": task.id, "zoom": task.zoom, "x": task.x, "y": task.y, "sun": task.sun}
@@ -241,7 +241,7 @@ class _Shown:
         self._line(f"[{done.done}/{done.total}] {place}: {text}", done)
 
     def end(self, seeded: Seeded, table: TaskTable) -> None:
-        """The run is done."""
+        """Report the end of the run."""
         counts = table.counts()
         said = {
             "drawn": seeded.drawn, "tasks": sum(counts.values()), "written": [str(path) for path in seeded.written],
@@ -254,7 +254,7 @@ class _Shown:
         for path in seeded.written:
             typer.echo(f"Wrote {path}.")
         if not seeded.written:
-            typer.echo(f"Nothing to do: all {said['tasks']} tasks are done, and what was written is as they are.")
+            typer.echo(f"Nothing to do: all {said['tasks']} tasks are done, and the output is up to date.")
 
     def _write(self, said: dict[str, Any]) -> None:
         if self._file is None:

@@ -1,4 +1,4 @@
-"""``skugga compute``, ``shade`` and ``sunhours``: from requests to files."""
+"""``skugga compute``, ``shade`` and ``sunhours``: write requested products as raster files."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from skugga.api.raster_file import RasterCells
 from skugga.api.raster_view import Bounds, raster_view
 from skugga.api.request import ProductRequest
 from skugga.api.stac_item import read_stac_item
-from skugga.terrain.compiling.ahead import MAPS_OF_CASTERS, MASKS, PICTURES, SUN_HOURS
-from skugga.terrain.compiling.hooks import need
-from skugga.terrain.errors import InputError
-from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.compiling.ahead_of_time import MAPS_OF_CASTERS, MASKS, PICTURES, SUN_HOURS
+from skugga.terrain.compiling.hooks import declare_product
+from skugga.terrain.errors import InputError, Problem
+from skugga.terrain.gbuffer.supersampling import is_bare
 from skugga.terrain.level.level import load_level, spelt
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
@@ -30,7 +30,19 @@ SUFFIXES = ".tif", ".tiff"
 
 @dataclass(frozen=True)
 class RasterPlace:
-    """Which cells a raster has, as ``raster_view`` takes them; all ``None``: the level's own."""
+    """Extent and grid of an output raster, as arguments of ``raster_view``. All ``None`` selects the level's own grid.
+
+    Attributes
+    ----------
+    bounds
+        West, south, east, north in units of ``crs``.
+    crs
+        Output CRS.
+    resolution
+        Side of a cell, units of ``crs``.
+    like
+        Raster, or its cells, whose grid is used.
+    """
 
     bounds: Bounds | None = None
     crs: str | None = None
@@ -47,20 +59,21 @@ def write_product(
     on_step: OnBlock | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
 ) -> None:
-    """Write a product of a level by each of some requests, as rasters. Raises ``SkuggaError`` and ``OSError``."""
+    """Write one raster of a product for each request. Raises ``SkuggaError`` and ``OSError``."""
     product, suns = requests[0].record, [request.sun for request in requests]
     for name, value in overrides.items():
         if value is not None and product.when != "sun":
             said = spelt(value) if name == "algorithm" else value
-            raise InputError(f"--{name.replace('_', '-')}", said, f"nothing: {product.name} has no shadows")
+            reason = f"'{said}' does not apply to {product.name}, which has no shadows"
+            raise InputError(f"--{name.replace('_', '-')}", Problem(reason), "Leave it out")
     paths = files_of(output, suns)
     others = [] if contours is None else [("--contours", contours[0])]
     like = place.like if isinstance(place.like, Path) else None
     check_targets(level, [*(("--output", path) for path in paths), *others], like)
-    need(SUN_HOURS if product.when == "days" else MASKS if product.needs == VISIBILITY else PICTURES)
+    declare_product(SUN_HOURS if product.when == "days" else MASKS if product.needs == VISIBILITY else PICTURES)
     scene = build_scene(load_level(level))
     if not is_bare(scene) and product.when != "days":
-        need(MAPS_OF_CASTERS)
+        declare_product(MAPS_OF_CASTERS)
     say_warnings(scene)
     try:
         raster = raster_view(scene, place.bounds, place.crs, place.resolution, place.like)
@@ -78,20 +91,21 @@ def write_product(
 def scene_of_item(
     stac: Path, suns: Sequence[SunSpec | None], like: Path | None, free: bool
 ) -> tuple[Sequence[SunSpec | None], Path | RasterCells | None]:
-    """The sun and the cells of a STAC item's scene; ``like``, and what else says which cells (not ``free``), go before its own.
+    """Return the sun and the grid of a STAC item.
 
-    Raises ``InputError`` where other options say when, too.
+    ``like`` takes precedence over the item's grid, and so do other options that set the grid (``free`` is false then).
+    Raises ``InputError`` if other options set the time too.
     """
     item = read_stac_item(stac)
     if any(sun is not None for sun in suns):
-        raise InputError(
-            "--stac", str(stac), "one way to say when: without --time, --times, --from or --azimuth, for the item says it"
+        raise InputError.conflict(
+            "--stac", "--time, --times, --from or --azimuth", "Use one of them: the item sets the time or the sun"
         )
     return [item.sun], item.cells if free and like is None else like
 
 
 def files_of(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
-    """A file for each sun. Raises ``InputError``, and ``FileNotFoundError`` where there is no folder."""
+    """Return the path for each sun. Raises ``InputError``, and ``FileNotFoundError`` if the folder does not exist."""
     if output.suffix.lower() not in SUFFIXES:
         raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(SUFFIXES)}")
     if not output.parent.is_dir():

@@ -1,4 +1,4 @@
-"""One snapshot: level -> scene -> descriptor -> plan -> picture -> product, in this process."""
+"""Render one snapshot in this process: level -> scene -> descriptor -> plan -> picture -> product."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from skugga.api.picture_cost import check_cost, time_limit_ms
 from skugga.api.request import ProductRequest
 from skugga.shadows.executed_effects import executed_effects
 from skugga.shadows.plan import Plan
-from skugga.terrain.compiling.ahead import MAPS_OF_CASTERS, PICTURES, VIEWS
-from skugga.terrain.compiling.hooks import need
+from skugga.terrain.atomic_files import write_atomically
+from skugga.terrain.compiling.ahead_of_time import MAPS_OF_CASTERS, PICTURES, VIEWS
+from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -23,19 +24,28 @@ from skugga.terrain.level.level import LoadedLevel, load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
-from skugga.terrain.whole_files import write_whole
 
 MOST_SECONDS = 1e9
-"""Of a level's clock, either way, as in level files."""
+"""Largest absolute reading of a level's clock, as in level files."""
 
 
 Look = tuple[str | None, float | None]
-"""A style by its name, and how slopes are exaggerated; ``None``: as the level says."""
+"""Name of a style, and factor of slope exaggeration; ``None`` keeps the level's value."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A computed view, and what computed it; ``plan`` is ``None`` where nothing was drawn."""
+    """A computed view with its context.
+
+    Attributes
+    ----------
+    scene, view
+        The scene and the view.
+    plan
+        The plan; ``None`` if the product needs no shadows.
+    computed
+        The product and its intermediate results.
+    """
 
     scene: Scene
     view: MapView | PerspectiveView
@@ -43,12 +53,12 @@ class Snapshot:
     computed: Computed
 
     def write(self, request: ProductRequest, path: Path) -> None:
-        """Write it as a file of the format that the suffix names; a GeoTIFF of a map view is georeferenced."""
+        """Write the snapshot in the format of the suffix. A GeoTIFF of a map view is georeferenced."""
         product, format = request.record, path.suffix.lower().removeprefix(".")
         array = colored(self.computed.array, product, request.options, self.scene.world, format)
         if format not in ARRAY_FORMATS:
             array = as_picture(array, product, self.computed.picture)
-        write_whole(path, encode_exactly(array, product, format, self.view))
+        write_atomically(path, encode_exactly(array, product, format, self.view))
 
 
 def snapshot(
@@ -67,8 +77,8 @@ def snapshot(
 ) -> Snapshot:
     """Compute a product of a level's view.
 
-    The sun is the request's, the style that of ``look``. Raises ``SkuggaError``, also where a block or a view is expected to take
-    longer than ``max_ms``, or than a service would draw.
+    The request sets the sun, ``look`` the style. Raises ``SkuggaError``, also if a block or a view is expected to take longer
+    than ``max_ms``, or without that longer than the time limit of a service.
     """
     scene, view_value = scene_and_view(level, view, request.sun, size, bounds, crs, seconds)
     if request.sun is None and request.record.when == "sun":
@@ -90,7 +100,7 @@ def scene_and_view(
     crs: str | None = None,
     seconds: float | None = None,
 ) -> tuple[Scene, MapView | PerspectiveView]:
-    """A level's scene under a sun, at a second of its clock, and one of its views. Raises ``SkuggaError``."""
+    """Return a level's scene under a sun at a second of its clock, and one of its views. Raises ``SkuggaError``."""
     check_seconds(seconds)
     loaded = load_level(level)
     need_for_view(loaded, view)
@@ -100,22 +110,22 @@ def scene_and_view(
 
 
 def need_for_view(loaded: LoadedLevel, view: str) -> None:
-    """Declare which loops a picture of a level's view needs."""
+    """Declare the compiled loops that a picture of a level's view needs."""
     named = loaded.level.views.get(view)
     if named is not None and named.kind == "perspective":
-        need(VIEWS)
+        declare_product(VIEWS)
     else:
-        need(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else PICTURES)
+        declare_product(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else PICTURES)
 
 
 def check_seconds(seconds: float | None) -> None:
-    """Raise ``InputError`` for a reading that the clock of what moves does not have."""
+    """Raise ``InputError`` for a reading outside the range of a level's clock."""
     if seconds is not None and not abs(seconds) <= MOST_SECONDS:
-        raise InputError("--seconds", seconds, f"seconds of the clock, {-MOST_SECONDS:g} to {MOST_SECONDS:g}")
+        raise InputError("--seconds", seconds, f"{-MOST_SECONDS:g} to {MOST_SECONDS:g} seconds")
 
 
 def statistics(found: Snapshot) -> dict[str, Any]:
-    """Return what ``--stats`` writes: plan, passes with milliseconds, caster reach, sun, view and device."""
+    """Return the content of ``--stats``: plan, passes with milliseconds, caster reach, sun, view and device."""
     from skugga.terrain.gl import device as gl
 
     used_gl, sun, computed = gl.is_open(), found.scene.sun, found.computed

@@ -1,4 +1,4 @@
-"""What ``skugga sunhours`` asks for, of its options."""
+"""``skugga sunhours``: parse its options into a request."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from skugga.api.cli.times import duration_of
 from skugga.api.products.sun_hours import NAME, QUANTITIES, SunHoursOptions
 from skugga.api.request import ProductRequest
 from skugga.terrain.errors import InputError
-from skugga.terrain.geo.clock import clock_named, date_of
-from skugga.terrain.geo.daily_windows import readings_of
+from skugga.terrain.geo.clock import parse_clock, parse_date
+from skugga.terrain.geo.daily_windows import parse_window
 
 
 def sun_hours_request(
     quantity: str, dates: tuple[str, str | None, str], window: str, clock: str, rules: tuple[str, str, float, float]
 ) -> ProductRequest:
-    """Return the request for a quantity over ``dates`` (the first, the last, what lies between two) and a daily window.
+    """Return the request for a quantity over dates and a daily window.
 
-    ``rules`` are the step, the threshold, the least altitude and the height. Raises ``InputError``.
+    ``dates`` are the first date, the last date and their interval. ``rules`` are the step, the threshold, the minimum altitude
+    (degrees) and the height above the ground (metres). Raises ``InputError``.
     """
     step, threshold, least_altitude, height = rules
     if quantity not in QUANTITIES:
@@ -27,18 +28,18 @@ def sun_hours_request(
     if minutes is not None and not 0.5 <= minutes <= 60.0:
         raise InputError("--step", step, "30s to 1h, or auto")
     if not -1.0 <= least_altitude < 90.0:
-        raise InputError("--least-altitude", least_altitude, "degrees above the horizon, -1 to 90")
+        raise InputError("--least-altitude", least_altitude, "-1 to 90 degrees above the horizon")
     if not 0.0 <= height <= 1000.0:
-        raise InputError("--height", height, "metres above the ground, 0 to 1000")
+        raise InputError("--height", height, "0 to 1000 metres above the ground")
     hours = duration_of("--threshold", threshold) / timedelta(hours=1)
     if not hours <= 24.0:
         raise InputError("--threshold", threshold, "at most 24h")
-    clock_named("clock", clock), readings_of(window)
-    first = date_of("date", dates[0])
-    last = None if dates[1] is None else date_of("to", dates[1])
-    every = duration_of("every", dates[2])
+    parse_clock("--clock", clock), parse_window(window)
+    first = parse_date("--date", dates[0])
+    last = None if dates[1] is None else parse_date("--to", dates[1])
+    every = duration_of("--every", dates[2])
     if every % timedelta(days=1):
-        raise InputError("every", dates[2], "whole days, as 7d")
+        raise InputError("--every", dates[2], "whole days, such as 7d")
     options = SunHoursOptions(
         date=first, to=last, every_days=every.days, quantity=quantity, window=window, clock=clock, height=height,
         least_altitude=least_altitude, step_min=minutes, threshold_h=hours,
@@ -47,7 +48,7 @@ def sun_hours_request(
 
 
 def contour_values(contours: tuple[Path, str]) -> list[float]:
-    """Return the values of contours to be written. Raises ``InputError``."""
+    """Return the values of the contours, sorted: hours, or minutes after midnight. Raises ``InputError``."""
     path, text = contours
     if path.suffix.lower() != ".gpkg":
         raise InputError("--contours", str(path), "a GeoPackage: .gpkg")
@@ -56,5 +57,5 @@ def contour_values(contours: tuple[Path, str]) -> list[float]:
     except ValueError:
         values = []
     if not values or not all(abs(value) < 1e6 for value in values):
-        raise InputError("--levels", text, "numbers, as 1,2,3: of hours, or of minutes from midnight for first and last")
+        raise InputError("--levels", text, "numbers such as 1,2,3, in hours, or in minutes after midnight for first and last")
     return values

@@ -1,4 +1,4 @@
-"""Tables on a terminal, and in files and pipes."""
+"""Tables for terminals, files and pipes."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import sys
 from typing import Any
 
 FILE_COLUMNS = 200
-"""Width of tables that go into a file or a pipe."""
+"""Width of tables in files and pipes, characters."""
 
 
 def wide_console() -> Any:
-    """Return a console that does not break lines which no terminal does."""
+    """Return a console as wide as the terminal, or wide enough for a table if the output is a file or a pipe."""
     from rich.console import Console
 
     return Console(highlight=False, width=None if sys.stdout.isatty() else FILE_COLUMNS)
 
 
 def named_table(first: str, *others: str, **style: Any) -> Any:
-    """Return an empty table whose first column is never cut: it has the names that somebody types."""
+    """Return an empty table whose first column is never truncated, because users type its names."""
     from rich.table import Table
 
     table = Table(**style)

@@ -1,4 +1,4 @@
-"""Many times on a command line."""
+"""Options for several times, and output names for each of them."""
 
 from __future__ import annotations
 
@@ -6,57 +6,58 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from skugga.terrain.errors import MISSING_VALUE, InputError
-from skugga.terrain.level.durations import DURATION_WORDS, parse_duration
+from skugga.terrain.errors import InputError, Problem
+from skugga.terrain.level.durations import ALLOWED_DURATIONS, parse_duration
 from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.parts import SunSpec
 
 MOST_TIMES = 10_000
 
 TIME_WORD = "{time}"
-"""Stands for the time in a file's name."""
+"""Placeholder of the time in a file name."""
 
 
 def suns_of(
     sun: SunSpec | None, times: str | None, start: str | None, end: str | None, step: str | None
 ) -> Sequence[SunSpec | None]:
-    """The suns of ``--times``, or of ``--from``, ``--to`` and ``--step`` (both ends included); else the one given (``None``: the
-    level's own). Raises ``InputError``.
+    """Return the suns of ``--times``, or of ``--from``, ``--to`` (inclusive) and ``--step``.
+
+    Without these, return ``sun`` alone (``None`` means the level's default sun). Raises ``InputError``.
     """
     steps = {"--from": start, "--to": end, "--step": step}
     given = [name for name, value in steps.items() if value is not None]
     ways = [*(["--time or --azimuth"] if sun is not None else []), *(["--times"] if times is not None else []), *given[:1]]
     if len(ways) > 1:
-        raise InputError(ways[1], "given", f"one way to say when: {ways[0]} is there already")
+        raise InputError.conflict(ways[1], ways[0])
     if times is not None:
         return [parse_sun(text, None, None) for text in times.split(",")]
     if not given:
         return [sun]
     if start is None or end is None or step is None:
         missing = next(name for name, value in steps.items() if value is None)
-        raise InputError(missing, MISSING_VALUE, "--from, --to and --step together")
+        raise InputError.missing(missing, "Give --from, --to and --step together")
     first, last = (_moment(name, text) for name, text in (("--from", start), ("--to", end)))
     every = duration_of("--step", step)
     count = (last - first) // every + 1
     if not 1 <= count <= MOST_TIMES:
-        raise InputError("--to", end, f"1 to {MOST_TIMES} times from --from on, in steps of {step}; these are {count}")
+        raise InputError("--to", end, f"a time that makes 1 to {MOST_TIMES} steps of {step} after --from, not {count}")
     return [SunSpec(time=first + n * every) for n in range(count)]
 
 
 def time_in_name(sun: SunSpec | None, number: int) -> str:
-    """What stands for a sun in a file's name: its time in UTC, as 20240321T090000Z, or else its number."""
+    """Return the time of a sun for a file name, in UTC such as 20240321T090000Z; its number if it has no time."""
     if sun is None or sun.time is None:
         return str(number)
     return sun.time.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
 
 
 def paths_by_time(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
-    """An output for each sun: ``{time}`` in its name stands for each. Raises ``InputError``."""
+    """Return the output path of each sun: ``{time}`` in the name is replaced. Raises ``InputError``."""
     if len(suns) > 1 and TIME_WORD not in output.name:
-        raise InputError("--output", str(output), f"{TIME_WORD} in the name, for {len(suns)} times")
+        raise InputError("--output", str(output), f"a name with {TIME_WORD}, for {len(suns)} times")
     paths = [output.with_name(output.name.replace(TIME_WORD, time_in_name(sun, n))) for n, sun in enumerate(suns, start=1)]
     if len(set(paths)) < len(paths):
-        raise InputError("--times", "a time twice", "different times")
+        raise InputError("--times", Problem("a time occurs twice"), "Give different times")
     return paths
 
 
@@ -64,17 +65,17 @@ def _moment(name: str, text: str) -> datetime:
     try:
         sun = parse_sun(text, None, None)
     except InputError as error:
-        raise InputError(name, text, error.allowed) from None
+        raise error.renamed(name) from None
     assert sun is not None and sun.time is not None
     return sun.time
 
 
 def duration_of(name: str, text: str, least_s: float = 1.0) -> timedelta:
-    """A length of time, as 15m. Raises ``InputError``, which names the option."""
+    """Return a duration from text such as 15m. Raises ``InputError``, which names the option."""
     try:
         length = parse_duration(text)
     except ValueError:
         length = timedelta(0)
     if length < timedelta(seconds=least_s):
-        raise InputError(name, text, f"{DURATION_WORDS}; at least {least_s:g}s")
+        raise InputError(name, text, f"{ALLOWED_DURATIONS}; at least {least_s:g}s")
     return length

@@ -1,4 +1,4 @@
-"""What may not be as it was meant with a level that can be drawn, on standard error."""
+"""Warnings and notes on standard error about levels and outputs."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 def say_warnings(scene: Scene, with_objects: bool = True) -> None:
-    """Print a line for each warning, on the ground and, ``with_objects``, on what stands on it, whose files are read for it."""
+    """Print a line for each warning on the ground and, if ``with_objects``, on objects, whose files are read for this."""
     on_objects = scene.objects.warnings if with_objects else ()
     for text in (*(f"{scene.elevation.name}: {text}" for text in scene.warnings), *on_objects):
         typer.echo(printable(f"skugga: warning: {text}"), err=True)
 
 
 def say_reach_beside(scene: Scene, raster: RasterView) -> None:
-    """Print a warning of a raster that reaches beyond the level, where its cells are empty."""
+    """Print a warning if a raster extends beyond the level; its cells are empty there."""
     from skugga.api.raster_view import reach_beside
 
     if (text := reach_beside(scene, raster)) is not None:
@@ -32,19 +32,19 @@ def say_reach_beside(scene: Scene, raster: RasterView) -> None:
 
 
 def say_own_sun(scene: Scene) -> None:
-    """Print which sun is taken where none was asked for: a picture does not show that nobody chose it.
+    """Print which default sun is used, because a picture does not show that no one chose it.
 
-    It is printed on a terminal, and everywhere if the level names no sun, either.
+    The note is printed on a terminal, and everywhere if the level sets no sun.
     """
     if scene.sun_is_default or sys.stderr.isatty():
         from skugga.api.report.plan_text import format_sun
 
-        said = f"{scene.loaded.name} is drawn with its own light, {format_sun(scene.sun)}; --time says another"
+        said = f"{scene.loaded.name} is drawn with its default light, {format_sun(scene.sun)}. Use --time for another sun"
         typer.echo(printable(f"skugga: {said}"), err=True)
 
 
 def say_written(paths: Sequence[Path], what: str, raster: RasterView) -> None:
-    """On a terminal, what was written, one line for all files."""
+    """Print one line on the written files, on a terminal only."""
     if sys.stderr.isatty():
         names = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files, {paths[0]} to {paths[-1].name}"
         rows, cols = raster.shape

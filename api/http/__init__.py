@@ -1,5 +1,5 @@
-"""The HTTP service, a folder for each kind of thing it answers with.
+"""The HTTP service, with a folder for each kind of resource.
 
-Beside the folders: parameters of requests, times and numbers in them, headers of answers, problems, and what the documentation
-says of these.
+The modules beside the folders parse request parameters, times and numbers, and build response headers, problem documents and
+OpenAPI parts.
 """

@@ -1,4 +1,4 @@
-"""Headers of answers: entity tags known before the work, cache rules, timings and caster reach."""
+"""Build response headers: entity tags known before the work, cache rules, timings and caster reach."""
 
 from __future__ import annotations
 
@@ -18,82 +18,88 @@ VERSION = version("skugga")
 JSON_MEDIA = "application/json"
 
 OWN_SUN_S = 3600
-"""How long a picture under the level's own sun is fresh: the operator may give the level another one."""
+"""Freshness lifetime of a picture under the level's own sun. It is short since the operator may change that sun."""
 
 GIVEN_SUN_S = 86400
-"""How long a picture under a sun of the request's own is fresh. Not `immutable`: the level's data may still change, and
-asking again costs no rendering."""
+"""Freshness lifetime of a picture whose request names the sun.
+
+It is not `immutable`: the level's data may still change, and revalidation costs no rendering."""
 
 FACTS_S = 60
-"""How long what is said of levels is fresh."""
+"""Freshness lifetime of metadata of levels."""
 
 LEAST_PACKED_BYTES, GZIP_LEVEL = 16 * 1024, 4
-"""Documents of so many bytes are compressed: capabilities of many levels are half a megabyte, a twentieth of that compressed."""
+"""Smallest document that is compressed, and the level of gzip.
+
+Capabilities of many levels have half a megabyte; gzip reduces them to a twentieth."""
 
 ABSENT_S = 86400
-"""How long caches may send what they have where the service is away."""
+"""Duration of ``stale-if-error``: caches may send a stale answer for so long while the service is down."""
 
 EXPOSED_HEADERS = (
     "Content-Range", "ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID", "X-Skugga-Algorithm",
     "X-Skugga-Caster-Reach", "X-Skugga-Expected-Time", "X-Skugga-Time",
 )  # fmt: skip
-"""What pages of other origins may read."""
+"""Response headers that scripts of other origins may read (CORS)."""
 
 
 @dataclass(frozen=True)
 class ExpectedTime:
-    """How long a picture was expected to take when it was asked for.
+    """Expected time of a picture at the moment of its request.
 
     Attributes
     ----------
     wait_s : float
-        Seconds until its turn.
+        Expected seconds in the queue.
     work_s : float
-        Seconds of work.
+        Expected seconds of rendering.
     """
 
     wait_s: float
     work_s: float
 
     def headers(self) -> dict[str, str]:
-        """The same as a header."""
+        """Return the times as a header."""
         return {"X-Skugga-Expected-Time": f"wait={self.wait_s:.1f}; work={self.work_s:.1f}"}
 
 
 def tag_of(*parts: object) -> str:
-    """A strong entity tag of everything that an answer depends on; this package's version is one of the parts."""
+    """Return a strong entity tag of all parts that an answer depends on, and of this package's version."""
     return f'"{hashlib.sha256(repr((VERSION, *parts)).encode()).hexdigest()[:32]}"'
 
 
 def is_fresh(request: Request, tag: str) -> bool:
-    """Whether the client says that it has this very answer (RFC 9110, section 13.1.2: weak comparison)."""
+    """Return whether ``If-None-Match`` has the entity tag (RFC 9110, section 13.1.2: weak comparison)."""
     client_tags = request.headers.get("if-none-match", "")
     return client_tags.strip() == "*" or tag in (part.strip().removeprefix("W/") for part in client_tags.split(","))
 
 
 def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
-    """Headers of an answer that caches may keep for ``fresh_s`` seconds. For as long again they may send it while they ask anew,
-    and longer where they cannot (RFC 5861). What is fresh for less than an hour is never sent stale: it hangs on the clock, on what
-    levels are now, or on a calibration or probe to come.
+    """Return the headers ``ETag`` and ``Cache-Control`` of an answer that stays fresh for ``fresh_s`` seconds.
+
+    Caches may send a stale answer for the same time while they revalidate, and for ``ABSENT_S`` seconds on errors (RFC 5861).
+    Answers that are fresh for less than an hour are never sent stale. They depend on the clock, on the present levels, or on a
+    pending calibration or probe.
     """
     later = f", stale-while-revalidate={fresh_s}, stale-if-error={ABSENT_S}" if fresh_s >= OWN_SUN_S else ""
     return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}{later}"}
 
 
 def wants_page(request: Request) -> bool:
-    """Whether whoever asks is a browser: it takes HTML by name, and JSON not so."""
+    """Return whether the client is a browser: its ``Accept`` header names HTML and does not name JSON."""
     accepted = request.headers.get("accept", "")
     return "text/html" in accepted and "application/json" not in accepted
 
 
 def json_answer(request: Request, value: object, **more: str) -> Response:
-    """A JSON answer, with ``more`` headers, or 304 where the client has it."""
+    """Return a JSON answer with ``more`` headers, or 304 if the client's copy is current."""
     return document_answer(request, bytes(JSONResponse(value).body), JSON_MEDIA, **more)
 
 
 def document_answer(request: Request, body: bytes, media_type: str, **more: str) -> Response:
-    """A document that is said of levels, with ``more`` headers, or 304 where the client has it. A long one is compressed for
-    clients that take that, with an entity tag of its own.
+    """Return a document with ``more`` headers, or 304 if the client's copy is current.
+
+    A long document is compressed for clients that accept gzip. The compressed form has a different entity tag.
     """
     packed = len(body) >= LEAST_PACKED_BYTES and _takes_gzip(request)
     vary = ", ".join(filter(None, (more.pop("Vary", ""), "Accept-Encoding"))) if len(body) >= LEAST_PACKED_BYTES else None
@@ -107,7 +113,7 @@ def document_answer(request: Request, body: bytes, media_type: str, **more: str)
 
 
 def _takes_gzip(request: Request) -> bool:
-    """Whether a client takes ``gzip`` by name, and not with a weight of nothing (RFC 9110, section 12.5.3)."""
+    """Return whether ``Accept-Encoding`` names gzip with a weight above 0 (RFC 9110, section 12.5.3)."""
     for coding in request.headers.get("accept-encoding", "").lower().split(","):
         name, _, weight = coding.partition(";")
         if name.strip() in ("gzip", "x-gzip"):
@@ -116,15 +122,15 @@ def _takes_gzip(request: Request) -> bool:
 
 
 def base_url(request: Request, public_url: str | None) -> str:
-    """Where clients reach the service, without a slash at the end."""
+    """Return the service's public URL without a trailing slash."""
     return (public_url or str(request.base_url)).rstrip("/")
 
 
 def drawn_headers(drawn: BlockTiles | Snapshot, subject: str, kept: bool, encode_ms: float) -> dict[str, str]:
-    """What a picture says of what it is made of (``subject``: a block or a snapshot): the passes that drew it, whether it was
-    drawn for this answer or kept from an earlier one, and caster reach.
+    """Return headers with the render passes of a picture, whether it came from the cache, and its caster reach.
 
-    The passes' names are made into tokens: runs of other characters become hyphens.
+    ``subject`` is the kind of picture: a block or a snapshot. Pass names become tokens: hyphens replace runs of other
+    characters.
     """
     timings = [f"{re.sub('[^A-Za-z0-9_]+', '-', name).strip('-')};dur={ms:.1f}" for name, ms in drawn.passes]
     timings += [f"encode;dur={encode_ms:.1f}", f"{subject};desc={'kept' if kept else 'drawn'}"]
@@ -135,6 +141,9 @@ def drawn_headers(drawn: BlockTiles | Snapshot, subject: str, kept: bool, encode
 
 
 def reach_headers(algorithm: str, used_m: float = 0.0, needed_m: float = 0.0, clipped: bool = False) -> dict[str, str]:
-    """The algorithm, and how far towards the sun casters were looked for and would have had to be, in whole metres."""
+    """Return headers with the algorithm and the caster reach in whole metres.
+
+    The reach is the distance towards the sun in which shadow casters were searched (``used``) and had to be searched (``needed``).
+    """
     reach = f"used={used_m:.0f}; needed={needed_m:.0f}; clipped={'yes' if clipped else 'no'}"
     return {"X-Skugga-Algorithm": algorithm, "X-Skugga-Caster-Reach": reach}

@@ -1,4 +1,4 @@
-"""What OpenAPI says of addresses: their parts with examples, and what they answer, when something is wrong as well."""
+"""Parts of the OpenAPI document: path parameters with examples, responses and problem documents of routes."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from skugga.api.http.numbers import PLAIN_WHOLE
 from skugga.api.http.problems import MEDIA_TYPE, Problem, problem_kinds
 
 Answers = dict[int | str, dict[str, Any]]
-"""Of statuses, as routes take them for ``responses``."""
+"""Responses by status, as the ``responses`` argument of routes."""
 
 LEVEL_ERRORS = 404, 422, 500
-"""Statuses of what is said of a level."""
+"""Error statuses of routes that describe a level."""
 
 WORK_ERRORS = 404, 422, 429, 500, 503, 504
-"""Statuses of what a render process does."""
+"""Error statuses of routes that use a render process."""
 
 ANYWHERE = 400, 422, 431, 500
-"""Statuses that any request may be answered with, whatever it is for."""
+"""Error statuses of every route."""
 
 UNFORESEEN = {500}
 
 PROBLEM = {"$ref": f"#/components/schemas/{Problem.__name__}"}
 
 PLAN_DOCS: Answers = {200: {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/Plan"}}}}}
-"""A plan. Its schema is that of all algorithms' settings, so it is imported when the document is made (``openapi``)."""
+"""The response with a plan. ``openapi`` adds its schema later, since that imports the settings of all algorithms."""
 
 LevelPath = Annotated[str, Path(description="A level by its name, as `/levels` lists them.", examples=["jacksboro"])]
 MatrixSetPath = Annotated[
@@ -41,7 +41,7 @@ RowPath = Annotated[int, PLAIN_WHOLE, Path(description="Row of the tile, from th
 
 
 def problem_docs(*statuses: int) -> Answers:
-    """Problem documents of these statuses, with an example of each kind that there is."""
+    """Return the responses with problem documents for some statuses, with an example of each kind of problem."""
     return {status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: _problems(status)}} for status in statuses}
 
 
@@ -51,7 +51,10 @@ def _problems(status: int) -> dict[str, Any]:
 
 
 def exception_docs(*statuses: int) -> Answers:
-    """Exceptions of an OGC service of these statuses, in its own XML; what nobody foresaw is a problem document there, too."""
+    """Return the responses with OGC exceptions in XML for some statuses.
+
+    Unexpected errors (500) are problem documents, too.
+    """
     found: Answers = {}
     for status in statuses:
         unforeseen = {MEDIA_TYPE: _problems(status)} if status in UNFORESEEN else {}
@@ -61,7 +64,7 @@ def exception_docs(*statuses: int) -> Answers:
 
 
 def file_docs(description: str, media_types: Iterable[str]) -> Answers:
-    """A file of one of these media types, or that the client has it."""
+    """Return the responses of a route that sends a file in one of some media types, or 304."""
     return {
         200: {"description": description, "content": {media_type: {} for media_type in media_types}},
         304: {"description": "The client has it (`If-None-Match`)."},
@@ -69,7 +72,7 @@ def file_docs(description: str, media_types: Iterable[str]) -> Answers:
 
 
 def for_example(*names: str, **values: str) -> dict[str, Any]:
-    """The query of a route's example: parameters with their own examples, and others with values."""
+    """Return the query of a route's example: ``names`` have their parameters' own examples, ``values`` replace them."""
     return {EXAMPLE_QUERY: dict.fromkeys(names, "") | values}
 
 
@@ -77,7 +80,10 @@ EXAMPLE_QUERY = "x-example-query"
 
 
 def key_values(**parameters: tuple[str, str]) -> dict[str, Any]:
-    """Keys of an OGC service, each with what it is and an example: they are of any case, so no signature declares them."""
+    """Return query parameters of an OGC service, each with a description and an example.
+
+    Their names ignore case, so no function signature declares them.
+    """
     return {
         "parameters": [
             {"name": name, "in": "query", "description": about, "schema": {"type": "string", "examples": [example]}}
@@ -87,8 +93,9 @@ def key_values(**parameters: tuple[str, str]) -> dict[str, Any]:
 
 
 def with_bounds(schema: Any) -> Any:
-    """A JSON schema whose bounds are said where such schemas have them: of ``Annotated[float | None, ...]`` pydantic leaves them
-    under its own names, outside of the number.
+    """Return a JSON schema with numeric bounds under their standard keywords, inside the number's schema.
+
+    For ``Annotated[float | None, ...]`` pydantic writes bounds under its own names, outside of the number's schema.
     """
     if isinstance(schema, list):
         return [with_bounds(each) for each in schema]

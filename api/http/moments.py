@@ -1,4 +1,7 @@
-"""The times that requests name: rounded, so that clients whose clocks run on ask for the same pictures; ``current`` is now."""
+"""Parse the times of requests.
+
+Times are rounded: clients with running clocks then request the same pictures. The word ``current`` means now.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,19 @@ from skugga.api.http.answers import GIVEN_SUN_S
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
 from skugga.terrain.level.level import parse_sun
-from skugga.terrain.level.parts import TIME_WORDS, SunSpec, time_of
+from skugga.terrain.level.parts import ALLOWED_TIMES, SunSpec, parse_time
 
 CURRENT = "current"
-"""The word for now."""
+"""The value of ``time`` that means now."""
 
 OWN_TIME = "default"
-"""The word for the time of a level's own sun, whatever that is."""
+"""The value of ``time`` that means the level's own sun."""
 
 TIME_HEADER = "X-Skugga-Time"
-"""Says which time an answer is of, where a time was asked for."""
+"""Response header with the rounded time, present if the request has a time."""
 
 CURRENT_S = 60
-"""How long an answer of now is fresh, at most."""
+"""Upper bound of the freshness lifetime of an answer for ``current``."""
 
 _EPOCH = datetime(2000, 1, 1, tzinfo=UTC)
 
@@ -53,20 +56,37 @@ def _date(value: Any) -> Any:
 
 def _time(value: Any) -> Any:
     try:
-        return time_of(value) if isinstance(value, str) else value if value is None or isinstance(value, datetime) else time_of("")
+        return (
+            parse_time(value)
+            if isinstance(value, str)
+            else value
+            if value is None or isinstance(value, datetime)
+            else parse_time("")
+        )
     except ValueError:
-        raise PydanticCustomError("datetime_parsing", "Input should be {words}", {"words": TIME_WORDS}) from None
+        raise PydanticCustomError("datetime_parsing", "Input should be {words}", {"words": ALLOWED_TIMES}) from None
 
 
 PLAIN_DATE, PLAIN_TIME = BeforeValidator(_date), BeforeValidator(_time)
-"""Of dates and times in ``Annotated``: what pydantic takes for one besides (seconds since 1970) is refused, and dates without a sun
-are.
+"""Validators of dates and times for ``Annotated``.
+
+They reject numbers, which pydantic reads as seconds since 1970, and dates out of the range of the sun's calculation.
 """
 
 
 @dataclass(frozen=True)
 class AskedTime:
-    """The time that an answer is of, and for how many seconds it is fresh; ``current``: what was asked for was now."""
+    """The time of a request's sun.
+
+    Attributes
+    ----------
+    time : datetime
+        The rounded time, with its UTC offset.
+    fresh_s : int
+        Freshness lifetime of the answer in seconds.
+    current : bool
+        Whether the request asked for now.
+    """
 
     time: datetime
     fresh_s: int
@@ -74,24 +94,30 @@ class AskedTime:
 
 
 def rounded_time(moment: datetime, grain_s: int) -> datetime:
-    """The nearest multiple of so many seconds since the year 2000, UTC; 0 leaves it. A time in the middle goes up."""
+    """Return a time rounded to a multiple of ``grain_s`` seconds since 2000-01-01 UTC.
+
+    Midpoints are rounded up. A grain of 0 returns the time unchanged.
+    """
     if grain_s == 0:
         return moment
     grain = timedelta(seconds=grain_s)
     try:
         return (_EPOCH + (moment - _EPOCH + grain / 2) // grain * grain).astimezone(moment.tzinfo)
-    except OverflowError:  # at the end of all times: refused by whoever takes it
+    except OverflowError:  # beyond the last datetime: callers reject that time
         return moment
 
 
 def asked_sun(request: Request, time: str | None, azimuth: float | None, altitude: float | None, grain_s: int) -> SunSpec | None:
-    """The sun of a request, with its time rounded; the request remembers that. Raises ``InputError``."""
+    """Return the sun of a request with its time rounded; ``None`` means the level's own sun.
+
+    The time is also stored as ``request.state.asked_time``. Raises ``InputError``.
+    """
     if time is not None and time.strip() == CURRENT:
         if azimuth is not None or altitude is not None:
-            raise InputError("time", time, "either time, or azimuth and altitude")
+            raise InputError.conflict("time", "azimuth and altitude")
         now = datetime.now(UTC)
         grain = timedelta(seconds=grain_s or 1)
-        moment = _EPOCH + (now - _EPOCH) // grain * grain  # down: what has not been yet is not now
+        moment = _EPOCH + (now - _EPOCH) // grain * grain  # rounded down: now is never in the future
         left_s = int((moment + grain - now).total_seconds())
         request.state.asked_time = AskedTime(moment, max(min(left_s, CURRENT_S), 1), current=True)
         return SunSpec(time=moment)
@@ -105,30 +131,33 @@ def asked_sun(request: Request, time: str | None, azimuth: float | None, altitud
 
 
 def asked_time(request: Request) -> AskedTime | None:
-    """The time that a request has named."""
+    """Return the time that ``asked_sun`` has stored for a request; ``None`` if the request has no time."""
     return getattr(request.state, "asked_time", None)
 
 
 def is_of_now(request: Request) -> bool:
-    """Whether the same address means another picture soon."""
+    """Return whether a request asks for ``current``: the same address then means another picture soon."""
     asked = asked_time(request)
     return asked is not None and asked.current
 
 
 def quarter_hour() -> tuple[datetime, int]:
-    """The quarter of an hour that now is in, and how many seconds of it are left: within one, no time zone's date changes."""
+    """Return the begin of the present quarter of an hour in UTC, and the seconds left of it.
+
+    The date of no time zone changes within a quarter of an hour.
+    """
     now, quarter = datetime.now(UTC), timedelta(minutes=15)
     begin = _EPOCH + (now - _EPOCH) // quarter * quarter
     return begin, max(int((begin + quarter - now).total_seconds()), 1)
 
 
 def fresh_for(request: Request, otherwise_s: int) -> int:
-    """How many seconds an answer is fresh: of now less than the grain of time."""
+    """Return the freshness lifetime in seconds: for ``current`` the time to its next value, else ``otherwise_s``."""
     asked = asked_time(request)
     return asked.fresh_s if asked is not None and asked.current else otherwise_s
 
 
 def time_headers(request: Request) -> dict[str, str]:
-    """What an answer says of the time that it is of."""
+    """Return the header with the rounded time of a request; empty if it has no time."""
     asked = asked_time(request)
     return {} if asked is None else {TIME_HEADER: asked.time.isoformat()}

@@ -1,4 +1,4 @@
-"""Numbers in addresses and queries: digits as everybody writes them, so that a number has one address."""
+"""Validate numbers in paths and queries. Only plain decimal digits are accepted, to give each number one address."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _whole(value: Any) -> Any:
 def _decimal(value: Any) -> Any:
     if not isinstance(value, str):
         return value
-    if value.strip().lstrip("+-").lower() in NOT_FINITE:  # bounds would be told first
+    if value.strip().lstrip("+-").lower() in NOT_FINITE:  # before pydantic reports bounds
         raise PydanticCustomError("finite_number", "Input should be a finite number")
     if not _DECIMAL.fullmatch(value.strip()):
         raise PydanticCustomError("float_parsing", "Input should be a number")
@@ -36,17 +36,18 @@ def _whole_or_word(value: Any) -> Any:
 
 
 def decimal_in(text: str) -> float | None:
-    """The finite number that a text is, spelt as in queries; ``None`` for any other."""
+    """Return the finite number in a text, spelt as in queries; ``None`` if the text is anything else."""
     number = float(text) if _DECIMAL.fullmatch(text.strip()) else math.inf
     return number if math.isfinite(number) else None
 
 
 WHOLE_OR_WORD = BeforeValidator(_whole_or_word)
-"""Of parameters whose values are listed, numbers among them."""
+"""Validator of parameters with a list of allowed values, some of them integers."""
 
 PLAIN_WHOLE, PLAIN_DECIMAL = BeforeValidator(_whole), BeforeValidator(_decimal)
-"""Of parameters in ``Annotated``: what Python takes for a number besides (``1_2``, ``12.0`` as a whole number, digits of other
-scripts) is refused."""
+"""Validators of integers and decimals for ``Annotated``.
+
+They reject other spellings that Python accepts: ``1_2``, ``12.0`` as an integer, digits of other scripts."""
 
 WholeNumber = Annotated[int, PLAIN_WHOLE]
-"""A whole number of an address."""
+"""An integer in a path."""

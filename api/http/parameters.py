@@ -1,4 +1,4 @@
-"""Query parameters: what a request may ask of a picture, checked before anything is done for it."""
+"""Parse and check the query parameters of requests before any work starts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from skugga.api.products.product import Product
 from skugga.api.request import PictureRequest, ProductRequest, RequestedSettings
 from skugga.api.shown_parameters import FunctionT, takes_parameters, takes_settings
 from skugga.api.workers.jobs import ServedPolicy
-from skugga.terrain.errors import Problem, InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.algorithm_names import served_algorithms
 from skugga.terrain.level.level import parse_algorithm
 from skugga.terrain.level.parts import StyleName, SunSpec
@@ -32,23 +32,31 @@ from skugga.terrain.style import STYLES
 
 @dataclass(frozen=True)
 class PlanQuery:
-    """By which policy a plan is made, and what a request asks of the shadows."""
+    """The query of a plan.
+
+    Attributes
+    ----------
+    policy : ServedPolicy
+        The selection policy.
+    overrides : RequestedSettings
+        Settings of shadows that the request overrides.
+    """
 
     policy: ServedPolicy
     overrides: RequestedSettings
 
 
 def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
-    """A dependency that refuses query parameters other than these, and repeated ones. Raises ``InputError``."""
+    """Return a dependency that raises ``InputError`` for unknown or repeated query parameters."""
 
     async def refuse(request: Request) -> None:
         items = request.query_params.multi_items()
         for name, value in items:
             if name not in names:
-                fault = Problem(f"unknown parameter (given: '{value[:80]}')")
-                raise InputError(name, fault, ", ".join(names) or "no parameters")
+                fault = Problem(f"unknown parameter (value '{value[:80]}')")
+                raise InputError(name, fault, f"Allowed parameters: {', '.join(names) or 'none'}")
             if sum(name == other for other, _ in items) > 1:
-                raise InputError(name, Problem("given more than once"), "one value")
+                raise InputError(name, Problem("given more than once"), "Give it once")
 
     return refuse
 
@@ -69,7 +77,7 @@ AzimuthQuery = Annotated[
 AltitudeQuery = Annotated[float | None, PLAIN_DECIMAL, Query(description="Apparent degrees above the horizon.", examples=[22])]
 
 OWN_STYLE = "default"
-"""The name of a level's own style where map clients want one."""
+"""The name of the level's own style, for map clients that require a name."""
 
 StyleQuery = Annotated[
     str | None,
@@ -92,7 +100,7 @@ SlopeExaggerationQuery = Annotated[
 
 
 def style_named(name: str | None, parameter: str = "style") -> StyleName | None:
-    """A style by its name in a request; ``None``: the level's own. Raises ``InputError``."""
+    """Return the style of a request; ``None`` means the level's own. Raises ``InputError`` for an unknown name."""
     if name is None or name == OWN_STYLE:
         return None
     if name not in STYLES:
@@ -104,7 +112,7 @@ _NUMBERS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_WHOLE,), float:
 
 
 def _parameter(setting: Setting) -> Any:
-    """A setting of shadows as a query parameter."""
+    """Return the annotation of a query parameter for a setting of shadows."""
     is_number = any(isinstance(word, int) for word in setting.words)
     numbers = (WHOLE_OR_WORD,) if is_number else _NUMBERS.get(setting.plain_type, ())
     asked: Any = setting.type
@@ -121,7 +129,7 @@ async def picture_query(
     slope_exaggeration: SlopeExaggerationQuery = None,
     **asked: Any,
 ) -> PictureRequest:
-    """The dependency for pictures. Raises ``InputError``."""
+    """Return the request for a picture (a FastAPI dependency). Raises ``InputError``."""
     sun = asked_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
     return PictureRequest(
         sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, overrides=served_settings(asked)
@@ -131,7 +139,7 @@ async def picture_query(
 async def sun_query(
     request: Request, time: TimeQuery = None, azimuth: AzimuthQuery = None, altitude: AltitudeQuery = None
 ) -> SunSpec | None:
-    """The dependency for a sun alone; ``None``: the level's own. Raises ``InputError``."""
+    """Return the sun of a request (a FastAPI dependency); ``None`` means the level's own. Raises ``InputError``."""
     return asked_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
 
 
@@ -147,10 +155,12 @@ async def plan_query(
     ] = "predict",
     **asked: Any,
 ) -> PlanQuery:
-    """The dependency for plans. Raises ``InputError``."""
+    """Return the query of a plan (a FastAPI dependency). Raises ``InputError``."""
     if policy in ("probe", "measure"):
         raise InputError(
-            "policy", policy, f"rules, predict; {policy} takes too long for a request: skugga select --policy {policy}"
+            "policy",
+            Problem(f"{policy} takes too long for a request"),
+            f"Use rules or predict, or run skugga select --policy {policy}",
         )
     if policy not in get_args(ServedPolicy):
         raise InputError("policy", policy, ", ".join(get_args(ServedPolicy)))
@@ -158,7 +168,7 @@ async def plan_query(
 
 
 def served_settings(asked: dict[str, Any]) -> RequestedSettings:
-    """Overrides that ask for nothing that is not served. Raises ``InputError``."""
+    """Return the overridden settings. Raises ``InputError`` for an algorithm that the service does not offer."""
     if asked.get("algorithm") is not None:
         parse_algorithm(asked["algorithm"], names=served_algorithms())
     return RequestedSettings.of(asked)
@@ -166,25 +176,25 @@ def served_settings(asked: dict[str, Any]) -> RequestedSettings:
 
 SUN_PARAMETERS = tuple(name for name in signature(sun_query).parameters if name != "request")
 PICTURE_PARAMETERS = tuple(name for name in signature(picture_query).parameters if name != "request")
-"""What may be asked of any picture."""
+"""Query parameters of every picture."""
 
 PLAN_PARAMETERS = tuple(signature(plan_query).parameters)
-"""What may be asked of any plan besides the sun."""
+"""Query parameters of every plan, without those of the sun."""
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """(width, height) of ``WxH``. Raises ``InputError``."""
+    """Return (width, height) in pixels of a text ``WxH``. Raises ``InputError``."""
     width, _, height = text.partition("x")
     if not all(part.isascii() and part.isdigit() and 1 <= int(part) <= MAX_PERSPECTIVE_PX for part in (width, height)):
-        raise InputError("size", text, f"WxH in pixels, as 1280x1024, at most {MAX_PERSPECTIVE_PX} a side")
+        raise InputError("size", text, f"WIDTHxHEIGHT in pixels, as 1280x1024, at most {MAX_PERSPECTIVE_PX} a side")
     return int(width), int(height)
 
 
 def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
-    """Raise ``InputError`` where a picture has more pixels than the settings allow."""
+    """Raise ``InputError`` if a picture has more than ``max_pixels`` pixels."""
     if size[0] * size[1] > max_pixels:
-        allowed = f"at most {max_pixels} pixels in all (the service's SKUGGA_MAX_SNAPSHOT_PIXELS)"
-        raise InputError("size", f"{size[0]}x{size[1]}", allowed)
+        remedy = "Ask for fewer pixels, or have the operator raise SKUGGA_MAX_SNAPSHOT_PIXELS"
+        raise InputError.over_limit("size", f"{size[0]}x{size[1]} pixels", f"{max_pixels} pixels in all", remedy)
 
 
 def _in_words(names: Iterable[str]) -> str:
@@ -209,7 +219,7 @@ TileLayerQuery = Annotated[
 
 
 def _product_parameter(name: str) -> Any:
-    """An option of products as a query parameter."""
+    """Return the annotation of a query parameter for an option of products."""
     of = [product for product in MAP_PRODUCTS if name in served_options(PRODUCTS[product])]
     field = served_options(PRODUCTS[of[0]])[name]
     plain: Any = field.annotation
@@ -226,39 +236,39 @@ def _product_parameter(name: str) -> Any:
 OPTION_READERS: dict[type, BeforeValidator] = {datetime.date: PLAIN_DATE, int: PLAIN_WHOLE, float: PLAIN_DECIMAL}
 
 MAX_TEXT = 100
-"""Characters of an option that is a text."""
+"""Maximum number of characters of a text option."""
 
 
 def served_options(product: Product) -> dict[str, FieldInfo]:
-    """Return the options of a product that HTTP takes."""
+    """Return the options of a product that are available by HTTP, by name."""
     return {name: field for name, field in product.options.model_fields.items() if name not in product.options.UNSERVED}
 
 
 PRODUCT_OPTIONS = tuple(dict.fromkeys(name for product in MAP_PRODUCTS for name in served_options(PRODUCTS[product])))
-"""Options of all products that HTTP serves as tiles and maps."""
+"""Names of the options of all products that HTTP serves as tiles and maps."""
 
 TILE_PARAMETERS = ("layer", *PICTURE_PARAMETERS, *PRODUCT_OPTIONS)
-"""What may be asked of tiles."""
+"""Query parameters of tiles."""
 
 
 def takes_options(*without: str) -> Callable[[FunctionT], FunctionT]:
-    """Decorate a dependency that takes ``**options``: it shows the options of all products, ``without`` some."""
+    """Return a decorator for a dependency with ``**options``: it declares the options of all products, ``without`` some."""
     parameters = [(name, _product_parameter(name)) for name in PRODUCT_OPTIONS if name not in without]
     return takes_parameters(parameters)
 
 
 async def product_query(request: Request, picture: PictureRequest, layer: str, options: dict[str, Any]) -> ProductRequest:
-    """Return the request for a product of a map. Raises ``InputError``."""
+    """Return the request for a product as tiles or map. Raises ``InputError``."""
     product = product_named(layer, MAP_PRODUCTS)
     given = {name: value for name, value in options.items() if value is not None}
-    for name, value in given.items():
+    for name in given:
         if name not in product.options.model_fields:
             of = [each for each in MAP_PRODUCTS if name in served_options(PRODUCTS[each])]
-            raise InputError(name, str(value), f"nothing but beside layer={' or '.join(of)}")
+            raise InputError.conflict(name, f"layer={layer}", f"Use it with layer={' or '.join(of)}")
     if product.when == "days":
         for name in PICTURE_PARAMETERS:
             if name in request.query_params:
-                raise InputError(name, request.query_params[name], f"nothing beside layer={layer}: it is of a whole date")
+                raise InputError.conflict(name, f"layer={layer}", "Leave it out: the layer covers a whole date")
     return ProductRequest(
         product=layer, options=product.options_of({**product.options.UNSERVED, **given}), **dict(picture)
     )  # fmt: skip
@@ -268,7 +278,10 @@ async def product_query(request: Request, picture: PictureRequest, layer: str, o
 async def map_query(
     request: Request, picture: Annotated[PictureRequest, Depends(picture_query)], layer: TileLayerQuery = "color", **options: Any
 ) -> ProductRequest:
-    """The dependency for maps, whose ``height`` is in pixels. Raises ``InputError``."""
+    """Return the request for a map (a FastAPI dependency). Raises ``InputError``.
+
+    ``width`` and ``height`` are not options of products here: they are the map's size in pixels.
+    """
     return await product_query(request, picture, layer, options)
 
 
@@ -276,7 +289,7 @@ async def map_query(
 async def tile_query(
     request: Request, picture: Annotated[PictureRequest, Depends(picture_query)], layer: TileLayerQuery = "color", **options: Any
 ) -> ProductRequest:
-    """The dependency for tiles. Raises ``InputError``."""
+    """Return the request for tiles (a FastAPI dependency). Raises ``InputError``."""
     return await product_query(request, picture, layer, options)
 
 

@@ -1,4 +1,4 @@
-"""Errors as ``application/problem+json`` (RFC 9457)."""
+"""Convert errors to problem documents, ``application/problem+json`` (RFC 9457)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ log = logging.getLogger("skugga")
 
 
 class Problem(BaseModel):
-    """A problem document. ``code`` is stable; ``parameter`` is there where one parameter is to blame, and ``preparing`` before a
-    service is ready: the ``task`` in words, steps ``done``, and ``total`` (0 while unknown).
+    """A problem document.
+
+    ``code`` is a stable identifier. ``parameter`` names the wrong parameter, if one is to blame. ``preparing`` is present
+    until the service is ready: the ``task`` in words, steps ``done``, and ``total`` (0 while unknown).
     """
 
     model_config = ConfigDict(frozen=True)
@@ -45,12 +47,24 @@ OF_HTTP: dict[int, tuple[str, str]] = {
     431: ("head_too_large", "The request's line and headers have too many bytes."),
     500: ("internal", "Something went wrong inside the service; its log says what."),
 }
-"""Codes and texts of problems that no domain error stands for, by their statuses."""
+"""Codes and texts of problems without a domain error, by status."""
 
 
 @dataclass(frozen=True)
 class ProblemKind:
-    """A kind of problem, as it is documented: its status, its stable code, what it says, and when to come back, if that is told."""
+    """A documented kind of problem.
+
+    Attributes
+    ----------
+    status : int
+        HTTP status.
+    code : str
+        Stable identifier.
+    about : str
+        Description, which is also the example's ``detail``.
+    retry_after_s : int or None
+        Seconds of ``Retry-After``; ``None`` without that header.
+    """
 
     status: int
     code: str
@@ -59,13 +73,14 @@ class ProblemKind:
 
     @property
     def example(self) -> dict[str, Any]:
-        """A problem document of this kind."""
+        """An example of a problem document of this kind."""
         return problem_of(self.status, self.about, self.code).model_dump(exclude_none=True)
 
 
 def problem_kinds() -> list[ProblemKind]:
-    """All kinds of problems: of the table of ``skugga.api.errors``, as far as HTTP answers can have them, and of HTTP itself.
-    Errors that clients cannot tell apart are one.
+    """Return all kinds of problems in HTTP answers, in order of status.
+
+    They come from the table of ``skugga.api.errors`` and from ``OF_HTTP``. Errors with equal status and code are one kind.
     """
     kinds: dict[tuple[int, str], ProblemKind] = {}
     for error, outcome in OUTCOMES.items():
@@ -79,7 +94,7 @@ def problem_kinds() -> list[ProblemKind]:
 
 
 def problem_of(status: int, detail: str | None = None, code: str | None = None, parameter: str | None = None) -> Problem:
-    """A problem document; what is not given is of HTTP itself."""
+    """Return a problem document. The defaults of ``detail`` and ``code`` are those of the status."""
     own_code, own_detail = OF_HTTP.get(status, (HTTPStatus(status).name.lower(), HTTPStatus(status).phrase))
     return Problem(
         title=HTTPStatus(status).phrase, status=status, detail=detail or own_detail, code=code or own_code, parameter=parameter
@@ -87,15 +102,16 @@ def problem_of(status: int, detail: str | None = None, code: str | None = None, 
 
 
 def problem_response(problem: Problem, headers: dict[str, str] | None = None) -> JSONResponse:
-    """An answer that no cache keeps."""
+    """Return a problem document as a response that caches must not store."""
     return JSONResponse(
         problem.model_dump(exclude_none=True), problem.status, {"Cache-Control": "no-store", **(headers or {})}, MEDIA_TYPE
     )
 
 
 def public_error(request: Request, error: SkuggaError) -> tuple[Outcome, str]:
-    """What a domain error means by the table of ``skugga.api.errors``, and what clients read of it; what they may not goes to the
-    log.
+    """Return the outcome of a domain error in the table of ``skugga.api.errors``, and its message for clients.
+
+    The log gets the error's own message if clients must not see it.
     """
     outcome = outcome_of(error)
     if outcome.public is not None:
@@ -104,16 +120,16 @@ def public_error(request: Request, error: SkuggaError) -> tuple[Outcome, str]:
 
 
 def public_problem(error: SkuggaError) -> Problem:
-    """What clients read of a domain error."""
+    """Return the problem document that clients get for a domain error."""
     outcome = outcome_of(error)
-    # An error that is not the client's blames none of his parameters: its name would be the operator's file.
+    # Errors that are not the client's name no parameter: their name would be the operator's file.
     parameter = getattr(error, "name", None) if outcome.public is None else None
     problem = problem_of(outcome.status, outcome.public or str(error), outcome.code, parameter)
     return problem.model_copy(update={"preparing": getattr(error, "preparing", None)})
 
 
 def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
-    """A domain error as a problem document."""
+    """Return the response for a domain error: a problem document, with ``Retry-After`` if known."""
     outcome, _ = public_error(request, error)
     retry_after_s = getattr(error, "retry_after_s", None) or outcome.retry_after_s
     headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}

@@ -20,10 +20,10 @@ from pydantic_core import PydanticCustomError
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from skugga.terrain.errors import Problem, InputError, SkuggaError
-from skugga.terrain.geo.clock import date_of
+from skugga.terrain.errors import InputError, Problem, SkuggaError
+from skugga.terrain.geo.clock import parse_date
 from skugga.terrain.level.level import Shadows
-from skugga.terrain.level.parts import TIME_WORDS
+from skugga.terrain.level.parts import ALLOWED_TIMES
 
 ParametersT = ParamSpec("ParametersT")
 ResultT = TypeVar("ResultT")
@@ -103,7 +103,7 @@ def _moment(value: Any) -> str:
     if isinstance(value, datetime.datetime):
         return value.isoformat()
     if not isinstance(value, str):
-        raise PydanticCustomError("time", TIME_WORDS)
+        raise PydanticCustomError("time", ALLOWED_TIMES)
     return value
 
 
@@ -118,7 +118,7 @@ def _day(value: Any) -> datetime.date:
     if not isinstance(value, str):
         raise PydanticCustomError("date", "a date of the calendar, as 2024-03-21")
     try:
-        return date_of("date", value)
+        return parse_date("date", value)
     except InputError as error:
         raise PydanticCustomError("date", "{words}", {"words": error.allowed}) from None
 

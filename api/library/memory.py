@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from skugga.terrain.errors import Problem, InputError
+from skugga.terrain.errors import InputError, Problem
 
 MEMINFO = Path("/proc/meminfo")
 CGROUPS = (

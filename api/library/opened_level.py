@@ -50,11 +50,11 @@ from skugga.api.request import ProductRequest
 from skugga.selector.film import film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
-from skugga.shadows.point.horizon import PointHorizon, horizon_round
-from skugga.terrain.errors import Problem, InputError
+from skugga.shadows.point.horizon import PointHorizon, horizon_profile
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.camera_file import load_camera_path
 from skugga.terrain.level.level import Shadows, load_level, parse_sun
-from skugga.terrain.level.level_source import LevelSource, direction_named, units_named
+from skugga.terrain.level.level_source import LevelSource, parse_positive, parse_units
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
@@ -297,7 +297,7 @@ class OpenLevel:
         ``elevation_deg``. The point is as in ``point``. Raises ``SkuggaError``.
         """
         query = PointQuery(lon=lon, lat=lat, height=height)
-        return horizon_round(around_point(self._scene, query, crs))
+        return horizon_profile(around_point(self._scene, query, crs))
 
     @checked
     def as_leaflet_layer(
@@ -402,7 +402,7 @@ def open_level(
     footprints of ``buildings``, the value of cells without a height, the unit of heights (``m``, ``ft``, ``us-ft``, ...), and
     whether they grow ``up`` or ``down``. Raises ``SkuggaError``.
     """
-    stated = {"units": units_named("units", units), "positive": direction_named("positive", positive)}
+    stated = {"units": parse_units("units", units), "positive": parse_positive("positive", positive)}
     level = LevelSource(path=find_level(str(source)), canopy=canopy, buildings=buildings, nodata=nodata, **stated)
     return OpenLevel(build_scene(load_level(level)))
 

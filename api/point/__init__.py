@@ -1,1 +1,1 @@
-"""The sun at a point: the report, horizon files for solar tools, a picture with the sun's paths, points in files."""
+"""The sun at a point: reports, horizon files for solar tools, sky charts, and points from files."""

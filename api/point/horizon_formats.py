@@ -1,7 +1,8 @@
-"""Horizon files for solar tools: one record a format, which says what its numbers mean.
+"""Horizon files for solar tools, with one record per format.
 
-A file states at which azimuth it starts and which way it turns wherever its format has room for words. Heights below the level
-plane are written as 0: in all of these formats a horizon hides, and what is below the level plane hides no sun that is up.
+* A file states its first azimuth and its direction of rotation if its format allows text.
+* Horizon angles below the level plane are written as 0. A horizon only hides the sun in these formats, and no horizon below the
+  level plane hides a sun that is up.
 """
 
 from __future__ import annotations
@@ -24,8 +25,22 @@ Writer = Callable[["PointHorizon", "PointPlace"], str]
 
 @dataclass(frozen=True)
 class HorizonFormat:
-    """A format: its name, the suffix and media type of its files, the directions that it has (``None``: those of the horizon) and
-    what it is in words.
+    """A file format of horizon profiles.
+
+    Attributes
+    ----------
+    name
+        Name of the format.
+    suffix
+        Suffix of its files, without a dot.
+    media_type
+        Media type of its files.
+    directions
+        Number of azimuths in a file; ``None`` uses those of the horizon.
+    about
+        Description for users.
+    write
+        Function that returns the text of a file.
     """
 
     name: str
@@ -37,19 +52,22 @@ class HorizonFormat:
 
 
 def horizon_file(name: str, horizon: PointHorizon, place: PointPlace) -> str:
-    """The text of a horizon file. The horizon has regular directions from north on, as ``directions_for`` a format gives them."""
+    """Return the text of a horizon file.
+
+    The azimuths of the horizon are those of ``directions_for`` the format: evenly spaced, from north on. Raises ``InputError``.
+    """
     return horizon_format(name).write(horizon, place)
 
 
 def horizon_format(name: str) -> HorizonFormat:
-    """A format by its name. Raises ``InputError``."""
+    """Return a format by its name. Raises ``InputError``."""
     if name not in HORIZON_FORMATS:
         raise InputError("format", name, ", ".join(HORIZON_FORMATS))
     return HORIZON_FORMATS[name]
 
 
 def directions_for(name: str) -> np.ndarray | None:
-    """The azimuths (n,) that a format has, clockwise from north; ``None`` for those of the horizon."""
+    """Return the azimuths (n,) of a format, degrees clockwise from north; ``None`` for those of the horizon."""
     count = horizon_format(name).directions
     return None if count is None else np.arange(count) * (360.0 / count)
 
@@ -59,7 +77,7 @@ def _heights(horizon: PointHorizon) -> np.ndarray:
 
 
 def _from_south(horizon: PointHorizon) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths from -180 (north) by -90 (east) to below 180, 0 being south and 90 west, ascending; and the heights."""
+    """Return azimuths and horizon angles in degrees; azimuths ascend from -180 (north): -90 is east, 0 south, 90 west."""
     azimuth = (horizon.azimuth_deg + 360.0) % 360.0 - 180.0
     order = np.argsort(azimuth)
     return azimuth[order], _heights(horizon)[order]
@@ -67,7 +85,7 @@ def _from_south(horizon: PointHorizon) -> tuple[np.ndarray, np.ndarray]:
 
 def _place_lines(place: PointPlace) -> list[str]:
     if place.lon_deg is None:
-        where = [f"East of the middle (m): {place.x:.2f}", f"North of the middle (m): {place.y:.2f}"]
+        where = [f"East of the centre (m): {place.x:.2f}", f"North of the centre (m): {place.y:.2f}"]
     else:
         where = [f"Latitude (decimal degrees): {place.lat_deg:.6f}", f"Longitude (decimal degrees): {place.lon_deg:.6f}"]
     return [*where, f"Elevation (m): {place.eye_m:.1f}"]

@@ -1,7 +1,8 @@
-"""The sky over a point as a chart: the horizon by ground, roofs and trees, and the paths of the sun over it.
+"""Polar chart of the sky over a point: the horizon of ground, roofs and trees, and the paths of the sun.
 
-North is up and east to the right, as on a map; the rim is the level horizon, the middle the zenith, and altitudes are evenly spaced
-between. Hours are those of the place's clock.
+* North is up and east is right, as on a map.
+* The rim is the level horizon and the centre is the zenith; the radius is linear in altitude.
+* Hours are those of the clock of the place.
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from skugga.shadows.point.horizon import PointHorizon, Surroundings, sun_reaches
-from skugga.shadows.point.sun_angles import angles_at, sun_looks
-from skugga.terrain.geo.clock import day_ends
+from skugga.shadows.point.horizon import PointHorizon, Surroundings, sees_sun
+from skugga.shadows.point.sun_angles import angles_at, sun_samples
+from skugga.terrain.geo.clock import day_bounds
 
 SkyPictureFormat = Literal["svg", "png"]
 
 PATH_STEP_S = 120.0
 NAMED_APART_DEG = 6.0
-"""Paths whose tops lie nearer than this to the day's have no names of their own."""
+"""A path is labelled if its highest altitude differs from that of the day by more than this, degrees."""
 
 NUMBERED_INSIDE_DEG = 6.0
 
@@ -35,7 +36,10 @@ _FONT = ["DejaVu Sans"]
 def sky_picture(
     around: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo, format: SkyPictureFormat, title: str
 ) -> bytes:
-    """The chart as a file: the paths of a day, of the solstices and of the equinox; of a flat world the horizon alone."""
+    """Return the chart as an SVG or PNG file: the horizon and the sun's paths of a day, the solstices and the equinox.
+
+    The chart of a flat world has only the horizon.
+    """
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -46,7 +50,7 @@ def sky_picture(
         axes: Any = figure.add_axes((0.07, 0.085, 0.86, 0.80), projection="polar")
         _sky(axes)
         _horizon(axes, horizon)
-        dated = around.scene.world.off_earth is None
+        dated = around.scene.world.off_earth_reason is None
         if dated:
             _paths(axes, around, day, clock)
         figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=_INK, va="top")
@@ -58,7 +62,7 @@ def sky_picture(
 
 
 def _sky(axes: Any) -> None:
-    """The empty chart."""
+    """Draw the empty chart: axes, grid and labels."""
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
     axes.set_facecolor(_SKY)
@@ -81,7 +85,7 @@ def _sky(axes: Any) -> None:
 
 
 def _horizon(axes: Any, horizon: PointHorizon) -> None:
-    """The horizon from the rim inwards: leaves and roofs as far as they stand over the ground's."""
+    """Draw the horizon from the rim inwards; trees and roofs show where they rise above the ground's horizon."""
     angle = np.radians(np.append(horizon.azimuth_deg, 360.0))
     for height, color, order in (
         (horizon.forest_deg, _FOREST, 2.0), (horizon.solids_deg, _SOLIDS, 2.1), (horizon.relief_deg, _RELIEF, 2.2),
@@ -93,7 +97,7 @@ def _horizon(axes: Any, horizon: PointHorizon) -> None:
 
 
 def _paths(axes: Any, around: Surroundings, day: date, clock: tzinfo) -> None:
-    """The sun's paths, those of the solstices and of the equinox thin, the day's bold where it shines."""
+    """Draw the sun's paths: solstices and equinox thin, the day bold where the sun reaches the point."""
     own_azimuth, own_altitude = _path(around, day, clock)
     highest = np.nanmax(own_altitude) if np.isfinite(own_altitude).any() else -90.0
     for number, (month, day_of_month) in enumerate(((6, 21), (3, 20), (12, 21))):
@@ -102,7 +106,7 @@ def _paths(axes: Any, around: Surroundings, day: date, clock: tzinfo) -> None:
         if np.isfinite(altitude).any() and abs(np.nanmax(altitude) - highest) > NAMED_APART_DEG:
             _name_path(axes, azimuth, altitude, ("21 June", "20 March", "21 December")[number])
     azimuth, altitude = own_azimuth, own_altitude
-    lit = sun_reaches(around, azimuth, np.nan_to_num(altitude, nan=-90.0))
+    lit = sees_sun(around, azimuth, np.nan_to_num(altitude, nan=-90.0))
     angle = np.radians(_unbroken(azimuth))
     axes.plot(angle, 90.0 - altitude, color=_HIDDEN, linewidth=1.6, linestyle=(0, (3, 2)), zorder=4)
     shining = np.where(lit, 90.0 - altitude, np.nan)
@@ -112,9 +116,9 @@ def _paths(axes: Any, around: Surroundings, day: date, clock: tzinfo) -> None:
 
 
 def _path(around: Surroundings, day: date, clock: tzinfo) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths and altitudes (NaN below the level horizon) of a day's sun."""
-    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
-    azimuth, altitude = angles_at(around.place, sun_looks(around.scene.world, begin, end, PATH_STEP_S)[1])
+    """Return azimuths and altitudes of the sun of a day, degrees; altitudes below the level horizon are NaN."""
+    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
+    azimuth, altitude = angles_at(around.place, sun_samples(around.scene.world, begin, end, PATH_STEP_S)[1])
     return azimuth, np.where(altitude > 0.0, altitude, np.nan)
 
 
@@ -123,7 +127,7 @@ def _unbroken(azimuth_deg: np.ndarray) -> np.ndarray:
 
 
 def _name_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str) -> None:
-    """A path's name, at its highest place."""
+    """Label a path at its highest point."""
     top = int(np.nanargmax(altitude))
     axes.annotate(
         name, (np.radians(azimuth[top]), 90.0 - altitude[top]), xytext=(0, 5), textcoords="offset points", fontsize=7.5,
@@ -133,13 +137,13 @@ def _name_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str) 
 
 
 def _hours(axes: Any, around: Surroundings, day: date, clock: tzinfo, named: bool) -> None:
-    """Marks of full hours on all paths; their numbers on the day's."""
+    """Mark full hours on all paths, and number them on the day's path."""
     days = [date(day.year, 6, 21), date(day.year, 3, 20), date(day.year, 12, 21), day]
     for each in days:
-        first = day_ends(each, clock)[0]
+        first = day_bounds(each, clock)[0]
         moments = [datetime(each.year, each.month, each.day, hour, tzinfo=clock) for hour in range(24)]
         begin = first.astimezone(UTC).timestamp()
-        when, to_sun = sun_looks(around.scene.world, begin, begin + 86400.0, PATH_STEP_S)
+        when, to_sun = sun_samples(around.scene.world, begin, begin + 86400.0, PATH_STEP_S)
         seconds = np.array([moment.astimezone(UTC).timestamp() for moment in moments])
         nearest = np.clip(np.searchsorted(when, seconds), 0, len(when) - 1)
         azimuth, altitude = angles_at(around.place, to_sun[nearest])
@@ -160,7 +164,10 @@ def _hours(axes: Any, around: Surroundings, day: date, clock: tzinfo, named: boo
 
 
 def _beside(azimuth_deg: float, altitude_deg: float) -> tuple[float, float]:
-    """Where a number stands beside its mark, in points: towards the rim, but away from it near the rim: there are azimuths."""
+    """Return the offset of an hour's number from its mark, points.
+
+    It points to the rim; near the rim it points to the centre, to keep clear of the azimuth labels.
+    """
     angle, away = np.radians(azimuth_deg), 11.0 if altitude_deg > NUMBERED_INSIDE_DEG else -11.0
     return float(away * np.sin(angle)), float(away * np.cos(angle))
 

@@ -1,4 +1,4 @@
-"""The report of a point: what is asked, and the answer as JSON."""
+"""The report of the sun at a point, as a model for JSON."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from pyproj import CRS
 
 from skugga.api.point.values import DayHours, PointQuery, PointReport, ReportedCaster, ReportedDay, ReportedInterval, ReportedMoment
 from skugga.shadows.point.clock import clock_of
-from skugga.shadows.point.horizon import SunCaster, Surroundings, surroundings, what_hides
+from skugga.shadows.point.horizon import SunCaster, Surroundings, load_surroundings, sun_occluders
 from skugga.shadows.point.place import POINT, place_at
-from skugga.shadows.point.sun_angles import own_sun_at
+from skugga.shadows.point.sun_angles import scene_sun_at
 from skugga.shadows.point.sun_day import SunDay, sun_day
 from skugga.shadows.point.sun_year import sun_year
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import check_date
 from skugga.terrain.scene import Scene
 
-NO_DAY = "there is no day without longitude and latitude on the earth"
-NO_SUN = "the level has no sun of its own: give a time"
+NO_DAY = "a day needs longitude and latitude on the earth"
+NO_SUN = "the level has no default sun. Give a time"
 
 
 def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:
-    """The report of a point of a level, under the scene's own sun. Raises ``InputError``."""
+    """Return the report of a point of a level under the scene's sun. Raises ``InputError``."""
     around = around_point(scene, query, crs)
     place = around.place
     day = day_asked(scene, query, place.lon_deg)
@@ -32,7 +32,7 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
     if now is None:
         remarks.append(NO_SUN)
     reported = None
-    if (why := scene.world.off_earth) is not None and query.date is None and query.year is None:
+    if (why := scene.world.off_earth_reason) is not None and query.date is None and query.year is None:
         remarks.append(f"{why}: {NO_DAY}")
     else:
         reported = _reported_day(sun_day(around, day, clock), _clock_name(query, clock))
@@ -49,7 +49,10 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
 
 
 def report_or_null(scene: Scene, query: PointQuery) -> PointReport:
-    """The report of a point; off the level's data one of nulls, whose remark says where there are data. Raises ``InputError``."""
+    """Return the report of a point; outside the level's data its values are null and its remark names the valid range.
+
+    Raises ``InputError``.
+    """
     try:
         return point_report(scene, query)
     except InputError as error:
@@ -63,24 +66,26 @@ def report_or_null(scene: Scene, query: PointQuery) -> PointReport:
 
 
 def around_point(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Surroundings:
-    """A point's place and what stands round it. Raises ``InputError``."""
-    return surroundings(scene, place_at(scene, (query.lon, query.lat), crs, query.height))
+    """Return a point's place and its surroundings. Raises ``InputError``."""
+    return load_surroundings(scene, place_at(scene, (query.lon, query.lat), crs, query.height))
 
 
 def sun_now(around: Surroundings) -> ReportedMoment | None:
-    """The scene's own sun at a place; ``None`` without one."""
-    sun, scene = own_sun_at(around.scene, around.place), around.scene
+    """Return the scene's sun at a place; ``None`` if the scene has none."""
+    sun, scene = scene_sun_at(around.scene, around.place), around.scene
     if sun is None or scene.sun is None:
         return None
-    (caster,) = what_hides(around, *map(np.array, sun))
+    (caster,) = sun_occluders(around, *map(np.array, sun))
     return ReportedMoment(
         time=scene.sun.time, azimuth=sun[0], altitude=sun[1], lit=caster is None and sun[1] > 0.0, by=reported_caster(caster)
     )
 
 
 def day_asked(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
-    """The day of a query: its own, else that of the sun's time, else today; by the query's clock, else by the offset of the sun's
-    time, else by solar time. Raises ``InputError`` for a date whose sun is not computed, and for a clock that there is not.
+    """Return the day of a query: its date, else the day of the sun's time, else today.
+
+    The day is that of the query's clock, else of the offset of the sun's time, else of solar time. Raises ``InputError`` for a
+    date outside the supported years, and for an unknown clock.
     """
     if query.date is not None:
         check_date(query.date)
@@ -93,14 +98,14 @@ def day_asked(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
 
 
 def clock_asked(scene: Scene, query: PointQuery, lon_deg: float | None, day: date) -> tzinfo:
-    """The clock of a query: its own, else the offset of the sun's time, else solar time. Raises ``InputError``."""
+    """Return the clock of a query: its own, else the offset of the sun's time, else solar time. Raises ``InputError``."""
     if query.clock is None and scene.sun is not None and scene.sun.time is not None and scene.sun.time.tzinfo is not None:
         return scene.sun.time.tzinfo
     return clock_of("solar" if query.clock is None else query.clock, lon_deg, day)
 
 
 def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:
-    """A caster as it is reported."""
+    """Return the report of a caster; ``None`` for none."""
     if caster is None:
         return None
     return ReportedCaster(

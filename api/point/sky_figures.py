@@ -1,4 +1,4 @@
-"""The sky over a point in figures: the horizon all round, and the sun's path of the day over it, for others to draw."""
+"""The sky over a point as numbers for clients to draw: the horizon profile and the sun's path of a day."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from datetime import UTC, date, datetime, tzinfo
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from skugga.shadows.point.horizon import PointHorizon, Surroundings, sun_reaches
-from skugga.shadows.point.sun_angles import angles_at, sun_looks
-from skugga.terrain.geo.clock import day_ends
+from skugga.shadows.point.horizon import PointHorizon, Surroundings, sees_sun
+from skugga.shadows.point.sun_angles import angles_at, sun_samples
+from skugga.terrain.geo.clock import day_bounds
 
 SUN_STEP_S = 300.0
-"""Between two places of the sun on its path."""
+"""Time between two positions of the sun on its path."""
 
 ANGLE_DIGITS = 2
-"""Of angles in degrees."""
+"""Decimals of angles in degrees."""
 
 
-_Date = date  # under this name the model's own field leaves it alone
+_Date = date  # a second name, because the field ``date`` of the model hides the type
 
 
 class _Figures(BaseModel):
@@ -26,7 +26,7 @@ class _Figures(BaseModel):
 
 
 class SunOnPath(_Figures):
-    """The sun above the level horizon: when, where in degrees, and whether it shines on the point."""
+    """The sun above the level horizon: time, azimuth and altitude in degrees, and whether it lights the point."""
 
     time: datetime
     azimuth: float
@@ -35,8 +35,9 @@ class SunOnPath(_Figures):
 
 
 class HorizonFigures(_Figures):
-    """Degrees above the level plane through the eye towards each of the azimuths, of ground, of buildings and models, and of
-    leaves; 0 where there is nothing higher.
+    """Horizon angles in degrees above the level plane through the eye, for each azimuth.
+
+    ``relief`` is the ground, ``solids`` are buildings and models, ``forest`` is foliage. An angle is 0 if nothing rises higher.
     """
 
     azimuth: tuple[float, ...]
@@ -46,7 +47,7 @@ class HorizonFigures(_Figures):
 
 
 class SkyFigures(_Figures):
-    """The horizon, and the sun of a day every five minutes; ``path`` is empty where it does not rise, and in a flat world."""
+    """The horizon, and the sun of a day every five minutes; ``path`` is empty if the sun does not rise, and in a flat world."""
 
     date: _Date
     horizon: HorizonFigures
@@ -54,17 +55,17 @@ class SkyFigures(_Figures):
 
 
 def sky_figures(around: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo) -> SkyFigures:
-    """The figures of a place's sky on a day by a clock. Raises ``InputError`` for years for which no sun is computed."""
+    """Return the horizon and the sun's path at a place on a day of a clock. Raises ``InputError`` for unsupported years."""
     heights = {name: _rounded(np.maximum(getattr(horizon, f"{name}_deg"), 0.0)) for name in ("relief", "solids", "forest")}
-    path = () if around.scene.world.off_earth else _path(around, day, clock)
+    path = () if around.scene.world.off_earth_reason else _path(around, day, clock)
     return SkyFigures(date=day, horizon=HorizonFigures(azimuth=_rounded(horizon.azimuth_deg), **heights), path=path)
 
 
 def _path(around: Surroundings, day: date, clock: tzinfo) -> tuple[SunOnPath, ...]:
-    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
-    when, to_sun = sun_looks(around.scene.world, begin, end, SUN_STEP_S)
+    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
+    when, to_sun = sun_samples(around.scene.world, begin, end, SUN_STEP_S)
     azimuth, altitude = angles_at(around.place, to_sun)
-    lit = sun_reaches(around, azimuth, altitude)
+    lit = sees_sun(around, azimuth, altitude)
     return tuple(
         SunOnPath(
             time=datetime.fromtimestamp(round(float(when[n])), UTC).astimezone(clock),

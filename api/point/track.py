@@ -1,4 +1,4 @@
-"""Points from files, and tracks with times of arrival."""
+"""Points from files, tracks with times of arrival, and the sun at many points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from skugga.api.point.report import around_point, clock_asked, day_asked, sun_now
 from skugga.api.point.values import MAX_POINTS, PointAnswerRow, PointQuery, TrackPoint
 from skugga.shadows.point.sun_angles import sun_directions
-from skugga.shadows.point.sun_day import hours_between_looks
+from skugga.shadows.point.sun_day import sampled_sun_hours
 from skugga.terrain.errors import InputError, SourceError
 from skugga.terrain.geo.sun import Sun
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84
@@ -24,18 +24,22 @@ LON_FIELDS, LAT_FIELDS = ("lon", "longitude", "lng", "x"), ("lat", "latitude", "
 
 
 def read_points(path: Path, height_m: float = 0.0) -> list[TrackPoint]:
-    """The points of a file: a CSV with columns lon and lat, or any vector file that GDAL reads; ``time`` and ``height`` count, too.
+    """Return the points of a file: a CSV with columns lon and lat, or any vector file that GDAL reads.
 
+    The columns or attributes ``time`` and ``height`` are optional; ``height_m`` is the default height, metres.
     Raises ``SourceError`` or ``InputError``.
     """
     points = _csv_points(path, height_m) if path.suffix.lower() == ".csv" else _vector_points(path, height_m)
     if len(points) > MAX_POINTS:
-        raise InputError("--points", f"{len(points)} points", f"at most {MAX_POINTS}")
+        raise InputError.over_limit("--points", f"{len(points)} points", str(MAX_POINTS), "Split the file")
     return points
 
 
 def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackPoint]:
-    """The points of a line, at its corners and every so many metres between. Raises as ``read_points``."""
+    """Return the points of a line: its vertices, and points between them at most ``every_m`` metres apart.
+
+    Raises the errors of ``read_points``.
+    """
     import shapely
 
     from skugga.terrain.geo.vectors import read_features, vector_layer
@@ -43,7 +47,7 @@ def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackP
     features = read_features(str(path), LONGITUDE_LATITUDE, layer=vector_layer(str(path), (1,)))
     lines = [part for part in shapely.get_parts(features.geometry) if part.geom_type == "LineString"]
     if not lines:
-        raise SourceError(str(path), f"{features.geometry[0].geom_type} geometries", "a line")
+        raise SourceError(str(path), f"has {features.geometry[0].geom_type} geometries and no line", "Give a file with a line")
     found: list[TrackPoint] = []
     for lon, lat in shapely.get_coordinates(np.array(lines, object)):
         if found:
@@ -53,7 +57,7 @@ def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackP
                 continue
             count = int(np.ceil(away / every_m))
             if len(found) + count > MAX_POINTS:
-                raise InputError("--every", every_m, f"a distance that leaves at most {MAX_POINTS} points")
+                raise InputError("--every", every_m, f"a distance that makes at most {MAX_POINTS} points")
             for n in range(1, count):
                 at = WGS84.fwd(last.lon_deg, last.lat_deg, azimuth, away * n / count)
                 found.append(TrackPoint(float(at[0]), float(at[1]), height_m))
@@ -62,22 +66,22 @@ def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackP
 
 
 def with_arrivals(points: list[TrackPoint], start: datetime, speed_kmh: float) -> list[TrackPoint]:
-    """The points of a line with times of arrival at a steady speed along the ground."""
+    """Return the points of a line with times of arrival at a constant speed along the ground. Raises ``InputError``."""
     if not speed_kmh > 0.0:
         raise InputError("--speed", speed_kmh, "more than 0 km/h")
     lon, lat = np.array([(point.lon_deg, point.lat_deg) for point in points]).T
     _, _, steps_m = WGS84.inv(lon[:-1], lat[:-1], lon[1:], lat[1:])
-    away_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    distance_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     return [
         replace(point, time=start + timedelta(seconds=round(float(away) / (speed_kmh / 3.6))))
-        for point, away in zip(points, away_m, strict=True)
+        for point, away in zip(points, distance_m, strict=True)
     ]
 
 
 def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hours: bool = True) -> list[PointAnswerRow]:
-    """Elevation, sun and hours of the day (of the query's date) at many points; of one with a time the sun is that time's.
+    """Return the elevation, the sun and, if ``hours``, the hours of direct sun on the query's date, at many points.
 
-    A point off the level's data has a remark, and nothing else.
+    A point with a time uses the sun of that time. A point outside the level's data has only a remark.
     """
     suns = _suns_of(scene, points)
     rows = []
@@ -90,15 +94,15 @@ def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hou
             rows.append(PointAnswerRow(None, None, None, str(error)))
             continue
         direct = None
-        if hours and scene.world.off_earth is None:
+        if hours and scene.world.off_earth_reason is None:
             day = day_asked(under, own, around.place.lon_deg)
-            direct = hours_between_looks(around, day, clock_asked(under, own, around.place.lon_deg, day))
+            direct = sampled_sun_hours(around, day, clock_asked(under, own, around.place.lon_deg, day))
         rows.append(PointAnswerRow(around.place.ground_m, sun_now(around), direct, None))
     return rows
 
 
 def _suns_of(scene: Scene, points: list[TrackPoint]) -> list[Sun | None]:
-    """The suns of the points' times; ``None`` for those without one."""
+    """Return the suns of the points' times; ``None`` for points without a time."""
     timed = [n for n, point in enumerate(points) if point.time is not None]
     suns: list[Sun | None] = [None] * len(points)
     if timed:
@@ -116,11 +120,13 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SourceError(str(path), getattr(error, "strerror", None) or str(error), "a CSV with columns lon and lat") from None
+        raise SourceError(
+            str(path), getattr(error, "strerror", None) or str(error), "Give a CSV with columns lon and lat"
+        ) from None
     names = {name.strip().lower(): name for name in (rows[0] if rows else {}) if name}
     columns = [next((names[word] for word in words if word in names), None) for words in (LON_FIELDS, LAT_FIELDS)]
     if None in columns:
-        raise SourceError(str(path), f"columns {', '.join(names) or 'none'}", "columns lon and lat, in degrees")
+        raise SourceError(str(path), f"has no columns lon and lat, but {', '.join(names) or 'none'}", "Add them, in degrees")
     time, height = (next((names[word] for word in words if word in names), None) for words in (TIME_FIELDS, HEIGHT_FIELDS))
     points = []
     for number, row in enumerate(rows, 2):
@@ -128,13 +134,14 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
             lon, lat = (float(row[column or ""]) for column in columns)
             high = float(row[height]) if height and row[height] else height_m
         except (TypeError, ValueError):
-            raise SourceError(str(path), f"line {number}: {','.join(str(v) for v in row.values())[:60]}", "numbers") from None
+            words = f"line {number}: {','.join(str(v) for v in row.values())[:60]} has no valid coordinates or height"
+            raise SourceError(str(path), words, "Give numbers") from None
         points.append(TrackPoint(lon, lat, high, _moment(path, f"line {number}", row[time] if time else None)))
     return points
 
 
 def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
-    from skugga.terrain.geo.vectors import attribute_names, numbers, read_features, vector_layer
+    from skugga.terrain.geo.vectors import attribute_names, numeric_attribute, read_features, vector_layer
     from skugga.terrain.ground.length_text import length_m
 
     layer = vector_layer(str(path), (0,))
@@ -144,10 +151,10 @@ def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
     features = read_features(str(path), LONGITUDE_LATITUDE, wanted, layer=layer)
     kinds = {geometry.geom_type for geometry in features.geometry}
     if kinds != {"Point"}:
-        raise SourceError(str(path), f"{', '.join(sorted(kinds))} geometries", "points")
+        raise SourceError(str(path), f"has {', '.join(sorted(kinds))} geometries", "Give a file of points only")
     heights = np.full(len(features.geometry), height_m)
     if height is not None:
-        heights = np.nan_to_num(numbers(features, height, length_m), nan=height_m)
+        heights = np.nan_to_num(numeric_attribute(features, height, length_m), nan=height_m)
     times = [None] * len(heights) if time is None else features.attributes[time]
     return [
         TrackPoint(float(point.x), float(point.y), float(high), _moment(path, features.label(row), moment))
@@ -156,13 +163,13 @@ def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
 
 
 def _moment(path: Path, where: str, value: object) -> datetime | None:
-    """A time of a file. Raises ``SourceError`` for one without an offset."""
+    """Return a time of a file; ``None`` for an empty one. Raises ``SourceError`` for a time without an offset."""
     text = "" if value is None else str(value).strip()
     if text in ("", "NaT", "nan", "None"):
         return None
     try:
         spec = parse_sun(text, None, None)
     except InputError as error:
-        raise SourceError(str(path), f"{where}: time = {text}", error.allowed) from None
+        raise SourceError(str(path), f"{where}: the time '{text}' is not allowed", f"Allowed: {error.allowed}") from None
     assert spec is not None
     return spec.time

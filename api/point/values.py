@@ -1,4 +1,4 @@
-"""What is asked of points, and what is answered, as values; what answers is in ``report`` and ``track``."""
+"""Requests and answers on the sun at points. ``report`` and ``track`` compute the answers."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field
 
-from skugga.shadows.point.terms import HIGHEST_EYE_M, CasterType
+from skugga.shadows.point.terms import MAX_EYE_HEIGHT_M, CasterType
 
 MAX_POINTS = 10_000
-"""Most points of a request or a file."""
+"""Limit of points in a request or a file."""
 
-_Date = date  # under this name the models' own fields leave it alone
+_Date = date  # a second name, because the field ``date`` of a model hides the type
 
 
 class _Reported(BaseModel):
@@ -31,14 +31,16 @@ LonLatDegrees = Annotated[float | None, _rounded(7)]
 
 
 class PointQuery(_Reported):
-    """What is asked of a point: its coordinates (longitude and latitude; in a flat world metres east and north of the middle),
-    metres above the ground, a day and the clock that tells it, and the year whose hours by day are wanted. ``now`` lies in the day
-    that is meant where neither the query nor the level's sun has one (``None``: the clock of this machine says).
+    """A request on the sun at a point.
+
+    ``lon`` and ``lat`` are degrees; in a flat world they are metres east and north of the centre. ``height`` is in metres above
+    the ground. ``date`` is a day of ``clock``. ``year`` requests the hours of sun of each day of that year. ``now`` is the current
+    time; it sets the day if neither the query nor the level's sun has one (``None``: the clock of this machine).
     """
 
     lon: float = Field(allow_inf_nan=False)
     lat: float = Field(allow_inf_nan=False)
-    height: float = Field(default=0.0, ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False)
+    height: float = Field(default=0.0, ge=0.0, le=MAX_EYE_HEIGHT_M, allow_inf_nan=False)
     date: _Date | None = None
     clock: str | None = Field(default=None, max_length=60)
     year: int | None = Field(default=None, ge=1800, le=2200)
@@ -46,7 +48,7 @@ class PointQuery(_Reported):
 
 
 class ReportedCaster(_Reported):
-    """What hides the sun: its kind, distance along the ground, direction, angle above the eye's level, and place."""
+    """The occluder of the sun: kind, distance along the ground, azimuth, angle above the eye's level, height, position."""
 
     kind: CasterType
     distance_m: RoundMetres
@@ -58,7 +60,7 @@ class ReportedCaster(_Reported):
 
 
 class ReportedMoment(_Reported):
-    """The sun at a moment: where it stands, whether it shines on the point, and if not, what hides it; ``by`` is null by night."""
+    """The sun at a moment: its position, whether it lights the point, and its occluder if not; ``by`` is null at night."""
 
     time: datetime | None
     azimuth: RoundDegrees
@@ -68,7 +70,7 @@ class ReportedMoment(_Reported):
 
 
 class ReportedInterval(_Reported):
-    """Direct sun from ``begin`` to ``end``; what hid it before (``after``) and hides it then (``before``)."""
+    """Direct sun from ``begin`` to ``end``. ``after`` is the occluder before the interval, ``before`` the one after it."""
 
     begin: datetime
     end: datetime
@@ -95,7 +97,7 @@ class ReportedDay(_Reported):
 
 
 class DayHours(_Reported):
-    """RoundHours of a day for which the sun is up, and shines on the point."""
+    """Hours of a day for which the sun is up, and for which it lights the point."""
 
     date: _Date
     daylight_h: RoundHours
@@ -103,7 +105,7 @@ class DayHours(_Reported):
 
 
 class PointReport(_Reported):
-    """What a point sees of the sun. Where ``elevation_m``, ``now`` or ``day`` is null, ``remark`` says why."""
+    """The sun at a point. If ``elevation_m``, ``now`` or ``day`` is null, ``remark`` gives the reason."""
 
     level: str
     lon: LonLatDegrees
@@ -118,7 +120,17 @@ class PointReport(_Reported):
 
 @dataclass(frozen=True)
 class TrackPoint:
-    """A point in degrees, metres above the ground, and when somebody is there (``None``: whenever is asked)."""
+    """A point of a file or a track.
+
+    Attributes
+    ----------
+    lon_deg, lat_deg
+        Position, degrees.
+    height_m
+        Height above the ground, metres.
+    time
+        Time of arrival; ``None`` uses the time of the request.
+    """
 
     lon_deg: float
     lat_deg: float
@@ -128,7 +140,19 @@ class TrackPoint:
 
 @dataclass(frozen=True)
 class PointAnswerRow:
-    """What a point of many sees: ``remark`` says why the rest is ``None``."""
+    """The sun at one of many points.
+
+    Attributes
+    ----------
+    elevation_m
+        Elevation of the ground, metres.
+    now
+        The sun at the point's time.
+    direct_h
+        Hours of direct sun of the day.
+    remark
+        Reason if the other values are ``None``.
+    """
 
     elevation_m: float | None
     now: ReportedMoment | None
@@ -136,7 +160,7 @@ class PointAnswerRow:
     remark: str | None
 
     def as_json(self, point: TrackPoint) -> dict[str, Any]:
-        """The row of a point as JSON has it."""
+        """Return the row of a point as values for JSON."""
         return {
             "lon": point.lon_deg, "lat": point.lat_deg, "height_m": point.height_m,
             "time": None if point.time is None else point.time.isoformat(),

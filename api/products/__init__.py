@@ -1,6 +1,7 @@
-"""Products: what Skugga computes. A module of this folder that has ``PRODUCT``, or several ``PRODUCTS``, is all that one needs.
+"""The registry of products, the pictures and rasters that Skugga computes.
 
-Products import what draws them when they are computed: their names are options of commands and parameters of HTTP.
+To add a product, add a module to this folder that defines ``PRODUCT``, or several ``PRODUCTS``. Commands and HTTP import this
+package for the names of products. Modules therefore import their renderers only when they compute.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from skugga.api.products.product import PICTURE_FORMATS, Product
 from skugga.terrain.errors import InputError
 
 FIRST = "color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium"
-"""Products that lists begin with; the others follow by name, intermediate pictures last."""
+"""The first products of lists. The others follow by name, and layers of passes come last."""
 
 
 def _products() -> Iterator[Product]:
@@ -33,32 +34,32 @@ PRODUCTS: dict[str, Product] = {each.name: each for each in sorted(_products(), 
 
 
 def products_with(has: Callable[[Product], object]) -> tuple[str, ...]:
-    """Return the names of the products that have something."""
+    """Return the names of the products that fulfil a condition."""
     return tuple(name for name, product in PRODUCTS.items() if has(product))
 
 
 VIEW_PRODUCTS = products_with(lambda each: each.view_formats)
-"""Products that HTTP serves of views."""
+"""Products that HTTP serves as views."""
 
 MAP_PRODUCTS = products_with(lambda each: each.map_formats)
 """Products that HTTP serves as tiles and maps."""
 
 RASTER_PRODUCTS = products_with(lambda each: each.is_raster)
-"""Products that are written as rasters of any size."""
+"""Products that can be written as rasters of any size."""
 
 SEEDED_PRODUCTS = products_with(lambda each: each.when != "days" and set(each.map_formats) & set(PICTURE_FORMATS))
-"""Products of pyramids of tiles. Those of whole dates are not among them: too much ground counts to tell what has changed."""
+"""Products of tile pyramids. Products of whole dates are excluded: they depend on too much ground to detect changed tiles."""
 
 
 def product_named(name: str, allowed: tuple[str, ...] | None = None, parameter: str = "layer") -> Product:
-    """Return a product by its name, one of those ``allowed`` (default: any). Raises ``InputError``."""
+    """Return a product by its name, which must be among ``allowed`` (default: any). Raises ``InputError`` of ``parameter``."""
     if name not in PRODUCTS or (allowed is not None and name not in allowed):
         raise InputError(parameter, name, ", ".join(PRODUCTS if allowed is None else allowed))
     return PRODUCTS[name]
 
 
 def product_table() -> str:
-    """Return the table of products that the documentation has: name, what it shows, formats, and the options that it takes."""
+    """Return the Markdown table of products for the documentation: name, description, formats and options."""
     rows = [
         f"| `{product.name}` | {product.about} | {', '.join(product.map_formats)} | "
         f"{', '.join(f'`{name}`' for name in product.options.model_fields) or '-'} |"

@@ -8,7 +8,7 @@ from skugga.api.products.product import Part, Product
 
 
 def _compute(part: Part) -> np.ndarray:
-    """RGBA, transparent where there is no surface. The sky of a perspective view is opaque."""
+    """Return RGBA, uint8 (rows, cols, 4), transparent without a surface. The sky of a perspective view is opaque."""
     color = part.drawn.color
     assert color is not None
     alpha = np.where(part.drawn.opaque, np.uint8(255), np.uint8(0))

@@ -1,4 +1,4 @@
-"""The products of the ground's heights: as numbers, and in the colours that map clients draw terrain from."""
+"""The products of heights: ``height`` as numbers, ``terrain-rgb`` and ``terrarium`` as colours for map clients."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from skugga.api.terrain_encodings import terrain_rgb, terrarium
 
 
 def height_m(part: Part) -> np.ndarray:
-    """float32 (rows, cols): the ground's heights in a map, those of what is seen in perspective; NaN where there is none."""
+    """Return heights in metres, float32 (rows, cols): of the ground in a map, of the visible surface in perspective; else NaN."""
     return part.ground_height_m if part.picture is None else part.frame.height_m
 
 
 def nodata_height_m(lowest_m: float) -> float:
-    """The height of places off the data: whole metres at or below a level's lowest ground, so that none stands up."""
+    """Return the height of pixels without data: the level's lowest ground rounded down to whole metres, so that none stands out."""
     return float(np.floor(lowest_m))
 
 
 def encoded_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEncoding) -> np.ndarray:
-    """Heights (rows, cols) as RGB (rows, cols, 3) uint8; those that are NaN become ``nodata_m``."""
+    """Return heights (rows, cols) encoded as RGB, uint8 (rows, cols, 3). NaN becomes ``nodata_m``."""
     known = np.where(np.isnan(heights_m), nodata_m, heights_m)
     return terrain_rgb(known) if encoding == "mapbox" else terrarium(known)
 

@@ -1,4 +1,4 @@
-"""The product ``mask``: classes of shadow, light and no surface."""
+"""The product ``mask``: the classes shadow, lit and no surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Intermediate pictures: what the passes of an algorithm leave behind on the way to a picture."""
+"""The products of the layers of passes: the intermediate pictures of an algorithm, such as shadow maps."""
 
 from __future__ import annotations
 
@@ -9,30 +9,29 @@ import numpy as np
 
 from skugga.api.products.product import NEEDS_FRAME, MapFormat, Part, Product
 from skugga.shadows.passes import PassLayer
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 
 VOLUME_COLOR = (255, 120, 30)
-"""sRGB of shadow volumes in a picture: warmer than ground, snow and sky are."""
+"""sRGB colour of shadow volumes in a picture, warmer than ground, snow and sky."""
 
 FACE_COVERS, ALL_COVER = 0.12, 0.8
-"""Share of the light from behind that each face of a volume takes in a picture, of the most that all of them together take: what
-lies behind a hundred volumes can still be made out.
-"""
+"""Opacity of each face of a volume, and the largest opacity of all faces together: the picture stays visible behind 100 volumes."""
 
 
 def _gray_of_depths(array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """uint16, nearest to the light brightest, black where nothing casts."""
+    """Return depths as uint16: brightest nearest to the light, black without casters."""
     return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
 
 
 def _spread(array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """uint8, values spread so that the largest is bright."""
+    """Return values as uint8, scaled so that the largest is bright."""
     return array * np.uint8(255 // max(int(array.max()), 1))
 
 
 def _over_color(array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """uint8 (rows, cols, 3): volumes translucent over the frame's colour. The colour is repeated where several algorithms left
-    their volumes beside one another.
+    """Return translucent volumes over the frame's colour, uint8 (rows, cols, 3).
+
+    The colour is repeated if the volumes of several algorithms lie side by side in ``array``.
     """
     behind = np.tile(color, (array.shape[0] // color.shape[0], array.shape[1] // color.shape[1], 1))
     covered = (ALL_COVER * (1.0 - (1.0 - FACE_COVERS) ** np.arange(256)))[array, None]
@@ -41,13 +40,13 @@ def _over_color(array: np.ndarray, color: np.ndarray) -> np.ndarray:
 
 def _layer(layer: PassLayer, about: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None) -> Product:
     def compute(part: Part) -> np.ndarray:
-        """The layer of the frame's first light, as its pass left it."""
+        """Return the layer of the frame's first light. Raises ``InputError`` if the light has none."""
         frame = part.frame
         by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
         if not by_light:
-            raise InputError("layer", layer, "a layer of a drawn pass: in this view no light has any")
+            raise InputError("layer", Problem(f"no light has a layer {layer} in this view"), "Use another view or layer")
         if light not in by_light:
-            raise InputError("light", light, f"for layer {layer}: {', '.join(by_light)}")
+            raise InputError("light", light, f"{', '.join(by_light)} for layer {layer}")
         return by_light[light]
 
     return Product(

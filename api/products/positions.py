@@ -1,4 +1,4 @@
-"""The products ``depth`` and ``position``: where a frame's pixels lie."""
+"""The products ``depth`` and ``position``: the depth and the coordinates of the pixels of a frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from skugga.api.products.product import NEEDS_FRAME, Part, Product
 
 
 def _depth(part: Part) -> np.ndarray:
-    """float32, metres: in a map straight down from the level's highest ground, else along the view's axis from the eye."""
+    """Return depths in metres, float32: in a map down from the level's highest ground, else from the eye along the view axis."""
     from skugga.terrain.geo.grid import MapView
 
     view, frame = part.view, part.frame
@@ -18,7 +18,10 @@ def _depth(part: Part) -> np.ndarray:
 
 
 def _position(part: Part) -> np.ndarray:
-    """float64 (rows, cols, 3): x and y in the view's CRS (of a perspective view, that of the level's maps), and the height."""
+    """Return x, y and height, float64 (rows, cols, 3).
+
+    x and y are in the CRS of the view, or of the level's maps for a perspective view. Pixels without a surface are NaN.
+    """
     from skugga.terrain.geo.grid import MapView
 
     view, frame = part.view, part.frame

@@ -1,6 +1,6 @@
-"""``Product``: one kind of picture or raster that Skugga computes. Each has a module of its own in this folder.
+"""The record of a product: one kind of picture or raster that Skugga computes.
 
-A product is described once, here. Commands, Python, tiles, maps, WMS, WMTS, TileJSON, legends and archives read this record.
+Each product has a module in this folder. Commands, Python, tiles, maps, WMS, WMTS, TileJSON, legends and archives read its record.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from skugga.shadows.passes import PassLayer
 from skugga.shadows.picture import Needs
-from skugga.terrain.errors import MISSING_VALUE, Problem, InputError
+from skugga.terrain.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from skugga.api.color_scale import ColorScale
@@ -41,20 +41,21 @@ HeightEncoding = Literal["mapbox", "terrarium"]
 
 ALLOWED = {
     "float_parsing": "a number", "int_parsing": "a whole number", "int_from_float": "a whole number",
-    "date_parsing": "a date, as 2024-03-21", "date_from_datetime_parsing": "a date, as 2024-03-21",
-    "date_from_datetime_inexact": "a date, as 2024-03-21",
+    "date_parsing": "a date, such as 2024-03-21", "date_from_datetime_parsing": "a date, such as 2024-03-21",
+    "date_from_datetime_inexact": "a date, such as 2024-03-21",
 }  # fmt: skip
-"""What is allowed, by pydantic's names of errors."""
+"""Phrases of allowed values, by pydantic's error types."""
 
 NEEDS_FRAME: Needs = frozenset({"frame", "reach"})
 NEEDS_NOTHING: Needs = frozenset()
 
 
 class ProductOptions(BaseModel):
-    """Options of a product. A product with options derives from this model; each field becomes an option at every front end.
+    """Base model of the options of a product.
 
-    A field's ``description`` and ``examples`` are its documentation. ``UNSERVED`` maps fields that HTTP does not take to the values
-    that it uses instead. They never appear in a query.
+    A product with options derives from this model. Each field becomes an option of every front end. The ``description`` and
+    ``examples`` of a field are its documentation. ``UNSERVED`` maps fields that HTTP does not accept to the values that HTTP uses.
+    These fields never appear in a query.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -62,26 +63,26 @@ class ProductOptions(BaseModel):
     UNSERVED: ClassVar[Mapping[str, Any]] = {}
 
     def query(self) -> str:
-        """Return the options as a query string, without those that have their default."""
+        """Return the options as a query string, without those that have their default value."""
         return urlencode(self.model_dump(mode="json", exclude_defaults=True, exclude=set(self.UNSERVED)))
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What a product is computed from: a view, or a block of a map.
+    """The input of a product's computation: a view, or a block of a map.
 
     Attributes
     ----------
     scene
         The scene under the request's sun.
     view
-        The pixels to compute. A map of a product that needs no picture has its pixels on nodes, and ``reach_px`` more on each side.
+        The pixels to compute. If the product needs no picture, pixels of a map lie on nodes, with ``reach_px`` more on each side.
     options
         The product's options.
     picture
         The drawn view; ``None`` for a product that needs no picture.
     on_step
-        To be called after each of the steps that ``Product.steps`` counts.
+        A callback, to be called after each step that ``Product.steps`` counts.
     """
 
     scene: Scene
@@ -92,7 +93,7 @@ class Part:
 
     @property
     def map_view(self) -> MapView:
-        """The view of a product that is computed for maps alone."""
+        """The view, for a product that exists for maps only."""
         from skugga.terrain.geo.grid import MapView
 
         assert isinstance(self.view, MapView)
@@ -100,13 +101,13 @@ class Part:
 
     @property
     def drawn(self) -> Picture:
-        """The drawn view of a product that needs a picture."""
+        """The drawn view, for a product that needs a picture."""
         assert self.picture is not None
         return self.picture
 
     @property
     def frame(self) -> Frame:
-        """The frame of a product that needs one."""
+        """The frame, for a product that needs one."""
         assert self.picture is not None and self.picture.frame is not None
         return self.picture.frame
 
@@ -117,17 +118,17 @@ class Part:
 
     @property
     def ground_height_m(self) -> np.ndarray:
-        """Heights of a map's ground (rows, cols) float32, NaN off the data. Holes are filled as they are for casting shadows."""
+        """Heights of a map's ground in metres, float32 (rows, cols), NaN outside the data. Holes are filled as for casting shadows."""
         return self._ground[0]
 
     @property
     def ground_valid(self) -> np.ndarray:
-        """bool (rows, cols): where a map's ground has data; holes have none."""
+        """The valid mask of a map's ground, bool (rows, cols). Holes are not valid."""
         return self._ground[1]
 
     @cached_property
     def ground_normal_enu(self) -> np.ndarray:
-        """Unit normals of a map's ground (rows, cols, 3) float32 towards east, true north and up; NaN where it has no data."""
+        """Unit normals of a map's ground, float32 (rows, cols, 3), in east, true north and up; NaN without data."""
         from skugga.terrain.gbuffer.ground_normals import ground_normals_enu
 
         return ground_normals_enu(self.scene, self.map_view)
@@ -142,7 +143,7 @@ class Product:
     name
         The name in commands, queries and files.
     about
-        What it shows, in one line without a capital; empty for what HTTP does not serve.
+        A description in one line, in lower case; empty for a product that HTTP does not serve.
     formats
         The formats that hold it without loss, or as a picture.
     compute
@@ -150,39 +151,48 @@ class Product:
     view_kinds
         The kinds of views that it exists for.
     when
-        What it depends on besides the level: ``none``, the ``sun`` of a moment, or ``days`` that its options name.
+        The dependence on time: ``none``, the ``sun`` of a moment, or the ``days`` that its options name.
     needs, perspective_needs
-        What is to be drawn of a map, and of a perspective view (``None``: the same). Nothing: ``compute`` goes by the scene alone.
+        The images to draw for a map, and for a perspective view (``None``: the same). Nothing: ``compute`` uses the scene only.
     reach_px
         Pixels around a part that ``compute`` needs. They are computed and cut off, so that blocks and tiles have no seams.
     options
         The model of its options.
-    dtype, bands, nodata, is_smooth, unit
-        Of its rasters. Overviews of smooth ones are means, which are wrong for classes and angles.
+    dtype
+        The type of its rasters.
+    bands
+        The number of bands of its rasters.
+    nodata
+        The nodata value of its rasters; ``None`` for none.
+    is_smooth
+        Whether overviews of its rasters are means. Means are wrong for classes and angles.
+    unit
+        The unit of its values.
     is_picture
-        Whether the array is a picture as it is, of uint8: gray, RGB or RGBA.
+        Whether the array itself is a picture of uint8: gray, RGB or RGBA.
     is_display
-        Whether it is the colour that people see: of all lights together, in a style, and compressed with loss.
+        Whether it shows the colours that people see: all lights together, in a style, and with lossy compression.
     encoding
         The encoding of heights, for map clients.
     pass_layer
-        The intermediate picture of a pass that it shows.
+        The layer of a pass that it shows.
     to_picture
-        Makes a picture for PNG of the array and the frame's colour.
+        Returns a picture for PNG, from the array and the frame's colour.
     color_scale
-        Returns the colours of its numbers, which pictures and legends show, for options in a world.
+        Returns the colour scale of pictures and legends, for options and a world.
     describe
-        Returns ``about`` and ``unit`` for options, where they depend on these.
+        Returns ``about`` and ``unit`` for options, if they depend on the options.
     empty
-        Returns the array (rows, cols) of a map without data, whose level's lowest ground is so high; ``None``: ``nodata``.
+        Returns the array of a map without data, from rows, columns and the height of the level's lowest ground in metres; ``None``:
+        an array of ``nodata``.
     blocks
-        Returns the blocks of a large map, as ``skugga.terrain.geo.grid.blocks_of``; ``None``: those.
+        Returns the blocks of a large map; ``None``: those of ``skugga.terrain.geo.grid.blocks_of``.
     steps
-        Returns into how many steps a block is divided, for progress bars.
+        Returns the number of steps of a block, for progress bars.
     tags
-        Returns what rasters say of options in a scene; without it the options themselves.
+        Returns the tags of rasters, for options and a scene. The default is the options.
     check
-        Raises ``SkuggaError`` where a service does not compute it of a scene.
+        Raises ``SkuggaError`` if a service does not compute the product of a scene.
     is_served
         Whether HTTP serves it.
     """
@@ -220,7 +230,7 @@ class Product:
 
     @property
     def view_formats(self) -> tuple[PictureFormat, ...]:
-        """The formats that HTTP serves views in."""
+        """The formats of views over HTTP."""
         if self.pass_layer is not None:
             return ("png",) if "png" in self.formats else ()
         if not (self.is_served and self.is_picture and self.when == "sun" and "perspective" in self.view_kinds):
@@ -229,7 +239,7 @@ class Product:
 
     @property
     def map_formats(self) -> tuple[MapFormat, ...]:
-        """The formats that HTTP serves tiles and maps in."""
+        """The formats of tiles and maps over HTTP."""
         if not self.is_served or self.pass_layer is not None or "map" not in self.view_kinds:
             return ()
         return tuple(each for each in MEDIA_TYPES if each in self.formats)
@@ -240,28 +250,28 @@ class Product:
         return "map" in self.view_kinds and "tif" in self.formats and self.is_served and self.pass_layer is None
 
     def band_names(self, options: ProductOptions) -> tuple[str, ...]:
-        """What each band holds with some options."""
+        """Return a description of each band, for options."""
         if self.bands == 1:
             return (self.about_of(options)[0],)
         return ("red", "green", "blue", "alpha")[: self.bands]
 
     def needs_of(self, view: MapView | PerspectiveView) -> Needs:
-        """What is to be drawn of a view."""
+        """Return the images to draw for a view."""
         from skugga.terrain.geo.grid import MapView
 
         return self.needs if isinstance(view, MapView) or self.perspective_needs is None else self.perspective_needs
 
     def about_of(self, options: ProductOptions) -> tuple[str, str]:
-        """What it shows with some options, and in which unit."""
+        """Return the description and the unit for options."""
         return (self.about, self.unit) if self.describe is None else self.describe(options)
 
     def options_of(self, given: Mapping[str, Any]) -> ProductOptions:
-        """Return the options of names and values.
+        """Return the options from names and values.
 
         Raises
         ------
         InputError
-            An option is unknown, missing or wrong.
+            If an option is unknown, missing or wrong.
         """
         try:
             return self.options(**given)
@@ -270,11 +280,11 @@ class Product:
             name = ".".join(map(str, first["loc"])) or "options"
             if first["type"] == "missing":
                 about = self.options.model_fields[name].description or "a value"
-                raise InputError(name, MISSING_VALUE, f"{about.rstrip('.')}, for {self.name}") from None
+                raise InputError.missing(name, f"{self.name} needs {about[:1].lower()}{about[1:].rstrip('.')}") from None
             if first["type"] == "extra_forbidden":
-                raise InputError(
-                    name, Problem(f"{self.name} has no such option"), ", ".join(self.options.model_fields) or "none"
-                ) from None
+                own = ", ".join(self.options.model_fields)
+                remedy = f"Use one of {own}" if own else "Omit it"
+                raise InputError(name, Problem(f"{self.name} has no such option"), remedy) from None
             allowed = ALLOWED.get(first["type"], first["msg"].removeprefix("Input should be "))
             raise InputError(name, first["input"], allowed) from None
 
@@ -286,5 +296,5 @@ class Product:
         return np.full(shape, 0 if self.nodata is None else self.nodata, self.dtype)
 
     def empty_picture(self, rows: int, cols: int, lowest_m: float = 0.0) -> np.ndarray:
-        """Return what pictures show of a map without data: where they have the colours of a scale, nothing."""
+        """Return the picture of a map without data, which is transparent for a product with a colour scale."""
         return np.zeros((rows, cols, 4), np.uint8) if self.color_scale else self.empty_array(rows, cols, lowest_m)

@@ -1,4 +1,4 @@
-"""The product ``shadow``: the shadow as the opacity of black, to lie over other maps."""
+"""The product ``shadow``: black with the shadow as opacity, an overlay for other maps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from skugga.api.products.product import Part, Product
 
 
 def _compute(part: Part) -> np.ndarray:
-    """RGBA: black whose alpha is 1 - visibility, transparent where there is no surface."""
+    """Return RGBA, uint8 (rows, cols, 4): black with alpha 1 - visibility, transparent without a surface."""
     opacity = part.drawn.opacity
     assert opacity is not None
     out = np.zeros((*opacity.shape, 4), np.uint8)

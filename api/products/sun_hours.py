@@ -1,4 +1,4 @@
-"""The product ``sunhours``: how long, from when to when, and on how many days the sun is seen."""
+"""The product ``sunhours``: hours of direct sun, first and last sun, and days with enough sun."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 NAME = "sunhours"
 
 TILE_STEP_MIN = 5.0
-"""Minutes between two suns of a tile: right to half a minute on average in mountains, and a block takes seconds."""
+"""Minutes between two suns of a tile. The mean error is half a minute in mountains, and a block takes seconds."""
 
 MAX_TICKS = 7
 
 BLOCK_NODES = 2048
-"""Side of a block of bare ground: twice a picture's, since each of its suns looks for casters beside it anew."""
+"""Side of a block of bare ground: twice that of a picture, because each sun reads the casters around the block again."""
 
 LARGE_RASTER_CELLS = 16_000_000
-"""Cells of a raster from which on its blocks are smaller: what may stand beside one is more than itself, and memory is bounded."""
+"""Rasters with at least so many cells have smaller blocks. This bounds memory: casters around a block may need more than the block."""
 
 BLOCK_NODES_OF_LARGE = 1024
 
 MIN_BLOCK_NODES = 64
 
-Date = datetime.date  # under this name the model's own field leaves it alone
+Date = datetime.date  # an alias, because the model has a field called ``date``
 
 SunQuantity = Literal["hours", "first", "last", "longest", "days"]
 
@@ -49,11 +49,11 @@ QUANTITIES: dict[SunQuantity, tuple[str, str]] = {
     "longest": ("longest unbroken sun of any date", "h"),
     "days": ("days with enough direct sun", "d"),
 }
-"""Quantity -> what its cells are, and their unit. They are NaN off the surface; those of first and last sun also without sun."""
+"""Description and unit by quantity. Cells are NaN without a surface; those of first and last sun also without sun."""
 
 
 class SunHoursOptions(ProductOptions):
-    """Options of hours of sun: which dates, which part of them by which clock, and what counts as sun."""
+    """Options of hours of sun: the dates, the daily window and its clock, and the rules of what counts as sun."""
 
     UNSERVED: ClassVar[Mapping[str, Any]] = {"to": None, "every_days": 1, "step_min": TILE_STEP_MIN, "threshold_h": 2.0}
 
@@ -74,23 +74,23 @@ class SunHoursOptions(ProductOptions):
     threshold_h: float = Field(default=2.0, ge=0.0, le=24.0, description="Hours of sun that a day counts from.")
 
     def windows(self, world: World) -> list[DailyWindow]:
-        """The windows of the dates. Raises ``InputError``, also in a flat world."""
-        from skugga.terrain.geo.clock import clock_named
-        from skugga.terrain.geo.daily_windows import readings_of, windows_asked
+        """Return the daily windows of the dates. Raises ``InputError``, also in a flat world."""
+        from skugga.terrain.geo.clock import parse_clock
+        from skugga.terrain.geo.daily_windows import parse_window, windows_between
 
-        readings, clock = readings_of(self.window), clock_named("clock", self.clock)
-        return windows_asked(world, self.date, self.to or self.date, self.every_days, readings, clock)
+        readings, clock = parse_window(self.window), parse_clock("clock", self.clock)
+        return windows_between(world, self.date, self.to or self.date, self.every_days, readings, clock)
 
     @property
     def rules(self) -> SunRules:
-        """What counts as sun."""
+        """The rules of what counts as sun."""
         from skugga.shadows.sun_hours.sun_hours import SunRules
 
         return SunRules(self.step_min, self.threshold_h, self.least_altitude, self.height)
 
 
 def _compute(part: Part) -> np.ndarray:
-    """float32 (rows, cols) of the quantity."""
+    """Return the quantity, float32 (rows, cols)."""
     values: np.ndarray = getattr(_sun_hours(part), part.options.quantity)
     return values
 
@@ -105,7 +105,7 @@ def _sun_hours(part: Part) -> SunHours:
 
 
 def _plan_of(scene: Scene, view: MapView) -> Callable[[Scene], Plan]:
-    """What plans a block under a sun, where something stands on its ground."""
+    """Return a function that plans a view under a sun, for ground with objects."""
 
     def plan(lit: Scene) -> Plan:
         from skugga.api.device_calibration import calibration_for
@@ -117,7 +117,7 @@ def _plan_of(scene: Scene, view: MapView) -> Callable[[Scene], Plan]:
 
 
 def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
-    """The colours of a whole level: from no hours to as many as the sun is up there, or from its rise to its set."""
+    """Return the colour scale of a whole level: from 0 to the hours of an unobstructed sun, or from sunrise to sunset."""
     from skugga.shadows.sun_hours.suns import window_suns
     from skugga.terrain.geo.daily_windows import clock_text
 
@@ -131,7 +131,7 @@ def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
         high = float(max(np.ceil(len(up_min) / 60.0), 1.0))
         what = "Hours of sun" if options.quantity == "hours" else "Longest spell of sun, hours"
         return ColorScale(f"{what}, {on}", "inferno", 0.0, high, _ticks(0.0, high, 1.0, lambda value: f"{value:.0f}"))
-    rise, set_ = (window.reading_min(float(end)) for end in (up_min[[0, -1]] if len(up_min) else (0.0, window.minutes)))
+    rise, set_ = (window.clock_time_min(float(end)) for end in (up_min[[0, -1]] if len(up_min) else (0.0, window.minutes)))
     low, high = float(np.floor(rise / 60.0) * 60.0), float(np.ceil(set_ / 60.0) * 60.0)
     what = f"{options.quantity.capitalize()} sun"
     return ColorScale(f"{what}, {on} ({options.clock})", "viridis", low, high, _ticks(low, high, 60.0, clock_text))
@@ -150,7 +150,7 @@ def _tags(options: SunHoursOptions, scene: Scene) -> dict[str, str]:
     return {
         "quantity": options.quantity, "date": first.date.isoformat(),
         "date_to": "" if len(windows) == 1 else last.date.isoformat(), "dates": str(len(windows)),
-        "window": f"{clock_text(first.clock_min)}-{clock_text(round(first.reading_min(first.minutes)))}", "clock": options.clock,
+        "window": f"{clock_text(first.clock_min)}-{clock_text(round(first.clock_time_min(first.minutes)))}", "clock": options.clock,
         "step_min": "auto" if options.step_min is None else f"{options.step_min:g}",
         "threshold_h": f"{options.threshold_h:g}" if options.quantity == "days" else "",
         "least_altitude_deg": f"{options.least_altitude:g}", "height_m": f"{options.height:g}",
@@ -158,24 +158,24 @@ def _tags(options: SunHoursOptions, scene: Scene) -> dict[str, str]:
 
 
 def _steps(options: SunHoursOptions) -> int:
-    """The number of dates."""
+    """Return the number of dates."""
     return ((options.to or options.date) - options.date).days // options.every_days + 1
 
 
 def _check(scene: Scene) -> None:
-    from skugga.terrain.gbuffer.covered_nodes import is_bare
+    from skugga.terrain.gbuffer.supersampling import is_bare
 
     if not is_bare(scene):  # each of many suns would be a picture
-        raise UnsupportedError("layer", NAME, "something stands on this level's ground: skugga sunhours writes it as a raster")
+        raise UnsupportedError("layer", NAME, "objects stand on this level's ground; `skugga sunhours` writes it as a raster")
 
 
 def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
-    """Return the blocks of a map in which hours of sun are found, as ``blocks_of`` does.
+    """Return the blocks of a map for hours of sun, in the form of ``blocks_of``.
 
-    Those of bare ground are larger, fixed on the cells' own grid, and end where the raster ends.
+    Blocks of bare ground are larger, are aligned with the grid of the cells, and end at the edge of the raster.
     """
     from skugga.shadows.sun_hours.sun_hours import ground_extent
-    from skugga.terrain.gbuffer.covered_nodes import WIDE_M, is_bare
+    from skugga.terrain.gbuffer.supersampling import MAX_PARALLEL_RAYS_M, is_bare
     from skugga.terrain.geo.grid import blocks_of, step_at_anchor_m
 
     if not is_bare(scene):
@@ -183,7 +183,7 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
     nodes = view.as_nodes()
     side = BLOCK_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else BLOCK_NODES_OF_LARGE
     if not scene.world.flat:
-        side = int(np.clip(WIDE_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_NODES, side))
+        side = int(np.clip(MAX_PARALLEL_RAYS_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_NODES, side))
     limits: Sequence[tuple[int, int]] = [
         (int(max(np.floor(low), -side)), int(min(np.ceil(high) + 1.0, count + side)))
         for (low, high), count in zip(ground_extent(scene, nodes), (view.rows, view.cols), strict=True)

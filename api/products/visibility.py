@@ -1,4 +1,4 @@
-"""The product ``visibility``: how much of the light reaches the pixels' own points."""
+"""The product ``visibility``: the share of the light that reaches the point of each pixel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ VISIBILITY: Needs = frozenset({"visibility", "reach"})
 
 
 def visibility_of(part: Part) -> np.ndarray:
-    """float32 (rows, cols) of the first light, NaN where there is no surface."""
+    """Return the visibility of the first light, float32 (rows, cols), NaN without a surface."""
     visibility = part.drawn.visibility
     assert visibility is not None
     return visibility

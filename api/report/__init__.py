@@ -1,1 +1,1 @@
-"""Figures in words and pages: a plan in words, a comparison's summary, table and self-contained HTML report."""
+"""Reports: a plan as text, and a comparison as a summary, a table and a self-contained HTML page."""

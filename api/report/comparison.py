@@ -1,4 +1,4 @@
-"""How a comparison is shown: a table on the terminal, a report and false-colour pictures in a folder."""
+"""Output of a comparison: a table on the terminal; a report and false-colour pictures in a folder."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from skugga.selector.measure.compare import Comparison, ComparisonRow, false_col
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.registry import NO_SHADOWS
 from skugga.shadows.render import render_frame
+from skugga.terrain.atomic_files import atomic_path
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError
 from skugga.terrain.gl.device import device
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
-from skugga.terrain.whole_files import replaced_whole
 
 
 def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
-    """Make the folder, before minutes are spent on what could not be written. Raises ``InputError``."""
+    """Create the folder and check the file before the comparison, which takes minutes. Raises ``InputError``."""
     if folder is not None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError:
-            raise InputError("--output", str(folder), "a folder, or where one can be made") from None
+            raise InputError("--output", str(folder), "a folder, or a path where a folder can be created") from None
     if rows_file is not None and (rows_file.is_dir() or not rows_file.parent.is_dir()):
         raise InputError("--json", str(rows_file), "a file in an existing folder")
 
 
 def show(comparison: Comparison, again: str) -> None:
-    """Print the rows, best first by ``wrong_cast``, and what holds for all of them.
+    """Print the rows, lowest ``wrong_cast`` first, then the summary and the remarks.
 
-    ``again`` is the command line of the comparison, to which the names of rows can be added.
+    ``again`` is the command line of the comparison, to which ``--only ROW`` can be appended.
     """
     console = Console(width=140)
     table = Table(box=None, header_style="bold")
@@ -64,37 +64,38 @@ def show(comparison: Comparison, again: str) -> None:
         table.add_row(*_cells(row))
     console.print(table)
     console.print(
-        f"boundary {100 * comparison.boundary:.2f} % of the surface (no error is counted there), "
-        f"surface {100 * comparison.surface:.2f} % (what the drawn grid changes against the full raster), "
+        f"boundary {100 * comparison.boundary:.2f} % of the surface (errors are not counted there), "
+        f"surface {100 * comparison.surface:.2f} % (difference of the rendered grid from the full raster), "
         f"noise floor {100 * comparison.noise_floor:.3f} % {comparison.error.replace('_', ' ')}"
     )
     if any(row.figures["cold"] for row in comparison.rows):
-        console.print("?: timed by its first run alone, which compiles and allocates too")
+        console.print("?: time of the first run only, which includes compilation and allocation")
     for sentence in format_summary(comparison):
         console.print(sentence)
     for remark in comparison.remarks:
         console.print(f"note: {remark}")
     if comparison.left_out:
-        console.print(f"note: {LEFT_OUT}; each of them is measured by:")
+        console.print(f"note: {LEFT_OUT}. To measure them, run:")
         for command in commands_of_left_out(comparison, again):
             console.print(f"  {command}", soft_wrap=True, highlight=False, markup=False)
 
 
 def write(scene: Scene, comparison: Comparison, folder: Path, view: str, again: str) -> None:
-    """``report.html``, its scatter alone as ``scatter.svg``, and one PNG a row: its false shadow red, its missed shadow blue;
-    ``again`` as in ``show``.
+    """Write ``report.html``, its scatter plot as ``scatter.svg``, and one PNG per row: false shadow red, missed shadow blue.
+
+    ``again`` is that of ``show``.
     """
     base = write_page(scene, comparison, folder / "report.html", view, again)
     write_plot(scene, comparison, folder / "scatter.svg", view)
     for row in comparison.rows:
-        with replaced_whole(folder / f"{row.figures['name']}.png") as part:
+        with atomic_path(folder / f"{row.figures['name']}.png") as part:
             Image.fromarray(false_colours(base.mean(axis=2), row)).save(part)
 
 
 def write_page(
     scene: Scene, comparison: Comparison, path: Path, view: str, again: str, most_bytes: int = MAX_PAGE_BYTES
 ) -> np.ndarray:
-    """The report alone, of at most ``most_bytes``; returns the view without cast shadows, uint8 (rows, cols, 3)."""
+    """Write the report with at most ``most_bytes`` bytes; return the view without cast shadows, uint8 (rows, cols, 3)."""
     plan = make_plan(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NO_SHADOWS})
     base = render_frame(scene, comparison.view, plan).color
     write_report(path, comparison, base, about(scene, comparison, view), commands_of_left_out(comparison, again), most_bytes)
@@ -102,18 +103,18 @@ def write_page(
 
 
 def write_plot(scene: Scene, comparison: Comparison, path: Path, view: str) -> None:
-    """The report's scatter alone, as an SVG file."""
+    """Write the scatter plot of the report as an SVG file."""
     said = about(scene, comparison, view)
     write_scatter(path, comparison, [f"{scene.loaded.name}, {view}", f"{said['light']}; {said['size']}; {said['device']}"])
 
 
 def commands_of_left_out(comparison: Comparison, again: str) -> list[str]:
-    """The command line that measures each row for which there was no time."""
+    """Return the command lines that measure the rows which the time limit left out."""
     return [f"{again} --only {shlex.quote(name)}" for name in comparison.left_out]
 
 
 def about(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:
-    """What was compared, and on what."""
+    """Return the facts of a comparison for its report: level, view, light, device and time."""
     loaded, gl = scene.loaded, device()
     light = comparison.light
     if light == SUN and scene.sun is not None:

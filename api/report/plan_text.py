@@ -1,4 +1,4 @@
-"""A plan in plain words: what is taken for each light and why, what it is expected to cost, and what was left out."""
+"""Text of a plan: the choice for each light with reasons, the expected cost, and the rejected alternatives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 LINE_WIDTH = 100
-"""Characters of a line, at most."""
+"""Maximum characters of a line."""
 
 POLICIES = {"rules": "by the rules", "predict": "by prediction", "probe": "by a probe", "measure": "by measuring"}
 
@@ -28,28 +28,28 @@ COMPASS_POINTS = (
 )  # fmt: skip
 
 ALWAYS_LISTED = ("cascades", "map_size", "depth_bits", "filter")
-"""Settings that are said whether or not there is a reason for them."""
+"""Settings that are listed even without a reason."""
 
 ORDER = (*ALWAYS_LISTED, *(key for key in SETTING_NAMES if key not in ALWAYS_LISTED))
 
 _WORD = re.compile(r"\b[a-z]+(?:_[a-z]+)+\b")
 
 AS_CHOSEN = "as chosen"
-"""The reason for a setting that comes with the algorithm, whose reason is told already."""
+"""Reason of a setting that follows from the choice of the algorithm, whose reason is listed already."""
 
 
 def format_heading(scene: Scene, plan: Plan) -> str:
-    """Whose plan it is, and how it was chosen."""
+    """Return the heading of a plan: level, view, sun and policy."""
     return f"{scene.loaded.level.title or scene.loaded.name}. {format_view_and_sun(scene, plan)}; chosen {POLICIES[plan.policy]}."
 
 
 def format_view_and_sun(scene: Scene, plan: Plan) -> str:
-    """The view and the sun that a plan was made for."""
+    """Return the view and the sun of a plan as text."""
     return f"View {plan.view}, {format_sun(scene.sun)}"
 
 
 def format_sun(sun: Sun | None) -> str:
-    """Where a sun stands, as ``the sun 12 degrees high in the west-south-west``."""
+    """Return the position of a sun as text, such as ``the sun 12 degrees high in the west-south-west``."""
     if sun is None:
         return "without a sun"
     wind = COMPASS_POINTS[round(sun.azimuth_deg / 22.5) % 16]
@@ -59,13 +59,13 @@ def format_sun(sun: Sun | None) -> str:
 
 
 def format_plan(plan: Plan, title: str) -> str:
-    """A plan as text for a terminal: sentences under headings, lines of at most ``LINE_WIDTH`` characters."""
+    """Return a plan as text for a terminal: sentences under headings, in lines of at most ``LINE_WIDTH`` characters."""
     plan = _aloud(plan)
     reason_list = _ReasonList(plan)
     parts = [[title, *reason_list.notes("policy")], *(reason_list.light(light) for light in plan.algorithm)]
     if not plan.algorithm:
         parts.append(["Nothing here casts a shadow."])
-    reason_list.notes("missed")  # which the expectation tells
+    reason_list.notes("missed")  # dropped: the expectation has them
     parts += [[format_expectation(plan)], reason_list.others()]
     parts += [
         _list("Effects that run", plan.effects),
@@ -76,7 +76,7 @@ def format_plan(plan: Plan, title: str) -> str:
 
 
 def format_choices(plan: Plan) -> list[str]:
-    """For each light and kind of casters that casts: its algorithm and why it was taken, in a sentence."""
+    """Return a sentence for each light and caster kind with shadows: the algorithm and its reason."""
     why = {reasoned.name: reasoned.reason for reasoned in _aloud(plan).reasons}
     return [
         f"{_capital(kind)}{'' if light == SUN else f' under {light}'} by {display_name(name)}: {why[f'{light}/{kind}: {name}']}."
@@ -87,7 +87,7 @@ def format_choices(plan: Plan) -> list[str]:
 
 
 def format_expectation(plan: Plan) -> str:
-    """What a plan is expected to cost, held against what was asked, in one or two sentences."""
+    """Return one or two sentences on the expected cost of a plan and its target."""
     target = format_target(plan.target)
     if plan.predicted is None:
         return f"Time and error are not predicted. Asked for: {target}."
@@ -109,18 +109,18 @@ def format_expectation(plan: Plan) -> str:
 
 
 def format_target(target: Target) -> str:
-    """A target, as ``at most 3 % wrong, within 40 ms``."""
+    """A target, as ``at max_items 3 % wrong, within 40 ms``."""
     error = f"at most {100.0 * target.max_error:.3g} % of the cast shadow wrong"
     return error if target.max_ms is None else f"{error}, within {format_duration(target.max_ms)}"
 
 
 def display_name(name: str) -> str:
-    """The name of an algorithm or an effect as it is read aloud."""
+    """Return the display name of an algorithm or an effect, without underscores."""
     return "no shadows" if name == NO_SHADOWS else name.replace("_", " ")
 
 
 def format_overshoot(plan: Plan) -> str:
-    """By how much a plan misses its target, as ``2.1 % of the cast shadow and 15 ms``."""
+    """Return the amount by which a plan misses its target, such as ``2.1 % of the cast shadow and 15 ms``."""
     assert plan.predicted is not None
     over = []
     if (error := plan.predicted.wrong_cast - plan.target.max_error) > 0.0:
@@ -134,18 +134,18 @@ def format_overshoot(plan: Plan) -> str:
 
 
 class _ReasonList:
-    """The reasons of a plan, each told once: by its light and caster kind, by its setting, or after all others."""
+    """The reasons of a plan, each used once: at its light and caster kind, at its setting, or at the end."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._left = list(plan.reasons)
 
     def notes(self, word: str) -> list[str]:
-        """The reasons whose name holds a word, as sentences."""
+        """Take the reasons whose name contains a word; return them as sentences."""
         return [_sentence(reasoned.reason) for reasoned in self._take(lambda name: word in name.split(" "))]
 
     def light(self, light: str) -> list[str]:
-        """What is done for a light."""
+        """Return the lines on a light: heading, algorithms and settings."""
         lines = ["Under the sun" if light == SUN else f"Under the light {light}"]
         for step in self._plan.steps:
             if step.light == light:
@@ -153,7 +153,7 @@ class _ReasonList:
         return lines
 
     def others(self) -> list[str]:
-        """What has not been told yet."""
+        """Take all remaining reasons; return them as sentences."""
         return [f"{_capital(reasoned.name)}: {reasoned.reason}." for reasoned in self._take(lambda _: True)]
 
     def _step(self, step: Step) -> Iterator[str]:
@@ -171,7 +171,7 @@ class _ReasonList:
                 yield f"    {_capital(_setting(key, value))}{reason}."
 
     def _named(self, *names: str) -> list[str]:
-        """The reasons that go by one of some names."""
+        """Take the reasons with one of some names."""
         return [reasoned.reason for reasoned in self._take(lambda name: name in names)]
 
     def _take(self, wanted: Callable[[str], bool]) -> list[Reasoned]:
@@ -181,13 +181,13 @@ class _ReasonList:
 
 
 def _values(settings: AlgorithmSettings | None) -> Iterator[tuple[str, object]]:
-    """The settings of a step as overrides spell them; ``cascades`` is their number."""
-    asked = {} if settings is None else settings.asked_as
+    """Yield the requested settings of a step, by override name and in ``ORDER``; ``cascades`` is their number."""
+    asked = {} if settings is None else settings.as_overrides
     yield from ((key, asked[key]) for key in ORDER if key in asked)
 
 
 def _spoken_name(found: re.Match[str]) -> str:
-    """The name of an algorithm or an effect without its underscores; any other word as it is."""
+    """Return the display name of a matched algorithm or effect; return any other word unchanged."""
     word = found.group()
     return display_name(word) if word in ALGORITHMS or word in EFFECTS else word
 
@@ -217,7 +217,7 @@ def _setting(key: str, value: object) -> str:
 
 
 def _aloud(plan: Plan) -> Plan:
-    """A plan whose reasons have the names of algorithms and effects as they are read aloud."""
+    """Return a plan whose reasons use the display names of algorithms and effects."""
 
     def aloud(reasoned: list[Reasoned]) -> list[Reasoned]:
         return [Reasoned(name=entry.name, reason=_WORD.sub(_spoken_name, entry.reason)) for entry in reasoned]
@@ -227,7 +227,7 @@ def _aloud(plan: Plan) -> Plan:
 
 
 def _not_taken(plan: Plan) -> list[Reasoned]:
-    """The algorithms that were not taken, without the reasons of those that went before them, which are told already."""
+    """Return the rejected algorithms; reasons that repeat a listed reason are shortened."""
     reported = {f": {reasoned.reason}" for reasoned in plan.reasons}
     ends = {reasoned.name: next((end for end in reported if reasoned.reason.endswith(end)), "") for reasoned in plan.rejected}
     return [Reasoned(name=reasoned.name, reason=reasoned.reason.removesuffix(ends[reasoned.name])) for reasoned in plan.rejected]
@@ -238,7 +238,7 @@ def _list(title: str, reasoned: list[Reasoned]) -> list[str]:
     for entry in reasoned:
         names.setdefault(entry.reason, []).append(display_name(entry.name))
     return (
-        [title, *(f"  {_capital(format_list(listed_names, most=9))}: {reason}." for reason, listed_names in names.items())]
+        [title, *(f"  {_capital(format_list(listed_names, max_items=9))}: {reason}." for reason, listed_names in names.items())]
         if reasoned
         else []
     )

@@ -1,4 +1,4 @@
-"""The report of a comparison: one page that opens from disk, with its plots, pictures, style and script in it."""
+"""The HTML report of a comparison: one self-contained page with plots, pictures, style and script."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from skugga.api.report.page.table import GLOSSARY, rows_table
 from skugga.api.report.summary import FLOORS, RowFigures, casts, format_summary, on_front
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.measure.compare import Comparison
-from skugga.terrain.whole_files import write_whole
+from skugga.terrain.atomic_files import write_atomically
 
 MAX_PAGE_BYTES = 5_000_000
-"""Of a page; what its text leaves of this is for pictures."""
+"""Limit of a page. Pictures get the bytes that text and plots leave."""
 
 LONG = 240
-"""Characters from which on a remark is folded."""
+"""Longer remarks, in characters, are collapsed."""
 
 LEFT_OUT = "some rows were left out by the time limit"
-"""What is said where some were."""
+"""Remark on rows that were left out."""
 
 _COLOURS = {
     "false": "false shadow: lit in truth",
@@ -49,21 +49,34 @@ def write_report(
 ) -> None:
     """Write the page of a comparison.
 
-    ``base`` is the view without cast shadows, uint8 (rows, cols, 3); ``about`` is what the page says of the run, in order; its
-    first two values are the title; ``commands`` are the command lines of the rows that were left out; pictures are made small
-    enough for a page of at most ``most_bytes``. The same input gives the same page, byte for byte.
+    The same input gives the same page, byte for byte.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    comparison
+        The comparison.
+    base
+        The view without cast shadows, uint8 (rows, cols, 3).
+    about
+        Facts of the run, in order. The first two values make the title.
+    commands
+        Command lines that measure the rows which were left out.
+    most_bytes
+        Limit of the page; pictures are shrunk to fit.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    write_whole(path, report_html(comparison, base, about, commands, most_bytes))
+    write_atomically(path, report_html(comparison, base, about, commands, most_bytes))
 
 
 def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
-    """Write the scatter of error against time, under the lines of a title, as an SVG file. Raises ``OSError``."""
-    write_whole(path, still(comparison, title, _part("report.css")))
+    """Write the scatter plot of error against time, with the lines of a title, as an SVG file. Raises ``OSError``."""
+    write_atomically(path, still(comparison, title, _part("report.css")))
 
 
 def report_html(
@@ -73,7 +86,7 @@ def report_html(
     commands: Sequence[str] = (),
     most_bytes: int = MAX_PAGE_BYTES,
 ) -> str:
-    """The page as text; see ``write_report``."""
+    """Return the page as text; see ``write_report``."""
     style, script = _part("report.css"), _part("report.js")
     parts = {
         "title": escape(" · ".join(list(about.values())[:2])),
@@ -112,31 +125,31 @@ def _part(name: str) -> str:
 
 
 def _hash(text: str) -> str:
-    """A source expression of a Content-Security-Policy for an inline element (CSP level 3, 2.3.1)."""
+    """Return the source expression of a Content-Security-Policy for an inline element (CSP level 3, 2.3.1)."""
     return f"sha256-{b64encode(sha256(text.encode()).digest()).decode()}"
 
 
 def _remark(remark: str) -> str:
-    """A remark as a sentence; what a long one lists after its colon is folded away."""
+    """Return a remark as a sentence; the list after the colon of a long remark is collapsed."""
     sentence = escape(f"{remark[:1].upper()}{remark[1:]}{'' if remark.endswith('.') else '.'}")
     head, colon, tail = sentence.partition(": ")
     return tag("details", tag("summary", head, colon), tail) if colon and len(sentence) > LONG else sentence
 
 
 def _left_out(commands: Sequence[str]) -> list[str]:
-    """What is said of rows that were left out: how each is measured."""
+    """Return the note on rows that were left out, with the commands that measure them."""
     if not commands:
         return []
     lines = "".join(tag("div", tag("code", escape(command))) for command in commands)
-    return [tag("details", tag("summary", f"{LEFT_OUT[:1].upper()}{LEFT_OUT[1:]}; each of them is measured by"), lines)]
+    return [tag("details", tag("summary", f"{LEFT_OUT[:1].upper()}{LEFT_OUT[1:]}. To measure them, run"), lines)]
 
 
 def _shares(comparison: Comparison) -> dict[str, str]:
     return {
         "cast shadow": f"{format_percent(comparison.cast)} of the surface, by truth",
-        "boundary": f"{format_percent(comparison.boundary)} of the surface: no error is counted there, for "
-        "truth itself is not certain",
-        "drawn grid": f"{format_percent(comparison.surface)} of the surface differs between the drawn grid and the full raster",
+        "boundary": f"{format_percent(comparison.boundary)} of the surface: errors are not counted there, because "
+        "truth itself is uncertain",
+        "rendered grid": f"{format_percent(comparison.surface)} of the surface differs between the rendered grid and the full raster",
         "noise floor": f"{format_percent(comparison.noise_floor)} is the error of truth itself with other sub-samples; "
         f"errors up to {format_percent(FLOORS * comparison.noise_floor)} are called exact",
     }
@@ -150,10 +163,10 @@ def _results(comparison: Comparison) -> dict[str, str]:
         "scatter_legend": legend(comparison),
         "bars": bars(figures),
         "bars_legend": bars_legend(figures),
-        "cut": "A bar with a cut is longer than the axis: its stages are drawn in proportion." if too_long(figures) else "",
+        "cut": "A bar with a cut is longer than the axis; its stages keep their proportions." if too_long(figures) else "",
         "options": "".join(tag("option", escape(f["name"]), value=k) for k, f in enumerate(figures)),
         "table": rows_table(comparison),
-        "cold": "A time with a question mark is that of a first run, which pays for what later ones have." if cold else "",
+        "cold": "A time with a question mark is that of a first run, which includes compilation and allocation." if cold else "",
         "colours": tag(
             "ul",
             *(tag("li", tag("span", class_=f"colour {class_}"), text) for class_, text in _COLOURS.items()),
@@ -163,7 +176,10 @@ def _results(comparison: Comparison) -> dict[str, str]:
 
 
 def _errors(comparison: Comparison) -> list[ErrorPicture]:
-    """What is drawn of each row; what no light can reach is dark in the shaded view already, and so not part of the cast shadow."""
+    """Return the error picture of each row.
+
+    Pixels that face away from the light are dark in the shaded view already; they do not count as cast shadow.
+    """
     unshadowed = next((row.visibility == 0 for row in comparison.rows if not casts(row.figures, comparison.light)), None)
     return [
         ErrorPicture(
@@ -178,8 +194,8 @@ def _shrunk(drawn: Pictures) -> str:
     if drawn.factor == 1:
         return f"Pictures have the pixels of the view. {steps}"
     return (
-        f"So that this page stays small, each pixel of a picture stands for {drawn.factor} × {drawn.factor} of the view; "
-        f"it is wrong if any of these is. {steps}"
+        f"To keep this page small, each pixel of a picture covers {drawn.factor} × {drawn.factor} pixels of the view; "
+        f"it is wrong if any of these is wrong. {steps}"
     )
 
 

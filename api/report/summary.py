@@ -1,4 +1,4 @@
-"""What a comparison found, in plain words: what is fastest, what is most accurate, and what accuracy costs between them."""
+"""Summary of a comparison in sentences: the fastest row, the most accurate row, and the cost of accuracy."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ RowFigures = dict[str, Any]
 
 
 FLOORS = 3.0
-"""Below so many noise floors an error cannot be told from none."""
+"""An error below this multiple of the noise floor counts as exact."""
 HARDLY = 1.05
-"""Times that differ by less than this ratio are not called different."""
+"""Times that differ by less than this ratio count as equal."""
 SMALL_ERROR = 0.03
-"""An error that levels accept unless they say otherwise."""
+"""Default maximum error of levels."""
 
 
 def format_summary(comparison: Comparison) -> list[str]:
-    """A few sentences on the rows that cast shadows; none where there are no such rows.
+    """Return sentences on the rows that cast shadows; an empty list if no row does.
 
-    The price of accuracy is told along the front alone: from its fastest row on, in steps that at least halve the error, until
-    what is left of it lies below three times the noise floor (or is 0), which is all that truth can tell.
+    The cost of accuracy follows the Pareto front from its fastest row, in steps that at least halve the error. It ends where the
+    error is 0 or below ``FLOORS`` times the noise floor, since truth is not more accurate than this.
     """
     rows = [row.figures for row in comparison.rows if casts(row.figures, comparison.light)]
     if not rows:
@@ -39,24 +39,32 @@ def format_summary(comparison: Comparison) -> list[str]:
 
 
 def casts(figures: RowFigures, light: str) -> bool:
-    """Whether any algorithm but ``none`` is at work for a light in a row."""
+    """Return whether a row uses any algorithm other than ``none`` for a light."""
     return algorithm_family(figures, light) != NO_SHADOWS
 
 
 def algorithm_family(figures: RowFigures, light: str) -> str:
-    """The algorithms of a row for a light, without their settings, as ``sweep + shadow_map``; ``none`` where none casts."""
+    """Return the algorithms of a row for a light without settings, such as ``sweep + shadow_map``; ``none`` if none casts."""
     names = [name for name in figures["algorithm"].get(light, {}).values() if name != NO_SHADOWS]
     return " + ".join(dict.fromkeys(names)) or NO_SHADOWS
 
 
 def on_front(figures: RowFigures, light: str) -> bool:
-    """Whether a row that casts for a light is on the front."""
+    """Return whether a row casts shadows for a light and is on the Pareto front."""
     return figures["pareto"] and casts(figures, light)
 
 
 @dataclass(frozen=True)
 class _SummaryText:
-    """Sentences in terms of one error figure, of which ``exact_to`` and less is called exact."""
+    """Sentences on one error figure.
+
+    Attributes
+    ----------
+    error
+        Key of the error figure.
+    exact_to
+        Errors up to this value count as exact.
+    """
 
     error: str
     exact_to: float
@@ -78,11 +86,11 @@ class _SummaryText:
             return [f"{best['name']} is both the fastest and the most accurate: {self._result(best)}{others}."]
         times = f", {_times(best['ms_median'] / fastest['ms_median'])} the time" if fastest["ms_median"] > 0.0 else ""
         if exact > 1:
-            most = f"{exact} rows are exact within the noise of truth; the fastest of them is {best['name']}"
-            most = f"{most}, in {format_duration(best['ms_median'])}"
+            max_items = f"{exact} rows are exact within the noise of truth; the fastest of them is {best['name']}"
+            max_items = f"{max_items}, in {format_duration(best['ms_median'])}"
         else:
-            most = f"The most accurate is {best['name']}: {self._result(best)}"
-        return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{most}{times}."]
+            max_items = f"The most accurate is {best['name']}: {self._result(best)}"
+        return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{max_items}{times}."]
 
     def prices(self, front: list[RowFigures]) -> list[str]:
         sentences, here = [], front[0] if front else None
@@ -122,7 +130,7 @@ class _SummaryText:
 
 
 def _default(rows: list[RowFigures], comparison: Comparison) -> list[str]:
-    """Whether something is better than what is taken where nothing is asked: quicker, and more accurate by either error."""
+    """Return a sentence on the default row: it is on a Pareto front, or another row is better in no more time."""
     default = next((f for f in rows if f["name"] == comparison.default), None)
     if default is None:
         return []
@@ -140,7 +148,7 @@ def _default(rows: list[RowFigures], comparison: Comparison) -> list[str]:
 
 
 def _softest(rows: list[RowFigures], error: str) -> list[str]:
-    """What comes nearest to the light as an area, where that is not what is most accurate anyway."""
+    """Return a sentence on the row with the smallest soft error, unless it is also the most accurate one."""
     softest, best = (min(rows, key=lambda f: (f[by], f["ms_median"])) for by in ("soft_error", error))
     if softest is best:
         return []
@@ -155,7 +163,7 @@ def _never_on_the_front(rows: list[RowFigures], light: str) -> list[str]:
         return []
     serve, are, pronoun = ("serves", "is", "its") if len(lost) == 1 else ("serve", "are", "their")
     return [
-        f"{format_list(lost, most=6)} {serve} this view, but {are} never on the front: "
+        f"{format_list(lost, max_items=6)} {serve} this view, but {are} never on the front: "
         f"at each of {pronoun} settings that were compared, something else is no slower and no less accurate."
     ]
 

@@ -1,1 +1,1 @@
-"""Pyramids of tiles drawn ahead: `planning` fills the table of tasks, `running` has them drawn, `publishing` makes the archive."""
+"""Pyramids of tiles drawn ahead: `planning` fills the table of tasks, `running` draws them, `publishing` writes the archive."""

@@ -1,7 +1,7 @@
-"""PMTiles archives out of shards: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md
+"""PMTiles archives made of shards: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md
 
-Where every tile will lie follows from the shards' indexes alone. So header and directories are written first, and the tiles' bytes
-are copied once, each checked against its digest on the way.
+The shards' indexes determine the position of every tile. So the header and the directories are written first. Then each tile is
+checked against its digest and copied once.
 """
 
 from __future__ import annotations
@@ -21,32 +21,42 @@ from pmtiles.tile import Compression, Entry, serialize_directory, serialize_head
 
 from skugga.api.archive_format import HEADER_BYTES, TILE_TYPES
 from skugga.api.errors import BrokenShardError
-from skugga.terrain.errors import InputError
-from skugga.terrain.whole_files import replaced_whole
+from skugga.terrain.atomic_files import atomic_path
+from skugga.terrain.errors import InputError, Problem
 
 DIGEST_BYTES = 16
 
 SHARED_BELOW_BYTES = 2048
-"""Equal tiles of fewer bytes are stored once, wherever they are. Such are of one colour, or nearly so: among larger ones equal
-tiles are rare, and to look for them costs memory with every tile."""
+"""Equal tiles of fewer bytes are stored once. Such tiles have one colour, or nearly so.
+
+Equal larger tiles are rare, and finding them would cost memory for every tile.
+"""
 
 ROOT_END = 16_384
-"""Header and root directory lie within so many bytes: readers fetch them in one request."""
+"""Upper bound of the header and root directory in bytes (specification): readers fetch them in one request."""
 
 ROOT_ENTRIES = 16_384
-"""With more entries a root directory is not tried without leaves: hardly ever would it fit."""
+"""With more entries a root directory without leaves is not tried, since it hardly ever fits."""
 
 LEAF_ENTRIES = 4096
-"""Of a leaf directory at first: some 20 KB, one request of a reader."""
+"""Initial number of entries of a leaf directory: some 20 KB, one request of a reader."""
 
 _TILE = np.dtype([("id", "<u8"), ("length", "<u4"), ("digest", "u1", (DIGEST_BYTES,))])
-"""A tile in an index as bytes."""
+"""Binary record of a tile in an index."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShardIndex:
-    """The tiles of a shard: ``ids`` (n,) uint64, PMTiles tile ids, ascending; ``lengths`` (n,) uint32, bytes, none of them 0;
-    ``digests`` (n, 16) uint8, BLAKE2b of 16 bytes. The shard itself is the tiles' bytes in this order, and nothing else.
+    """The tiles of a shard. The shard is the concatenation of their bytes in this order.
+
+    Attributes
+    ----------
+    ids : (n,) uint64
+        PMTiles tile ids, ascending.
+    lengths : (n,) uint32
+        Bytes of the tiles, all positive.
+    digests : (n, 16) uint8
+        BLAKE2b digests of 16 bytes.
     """
 
     ids: NDArray[np.uint64]
@@ -55,7 +65,7 @@ class ShardIndex:
 
     @classmethod
     def of(cls, tiles: Mapping[int, bytes]) -> tuple[ShardIndex, bytes]:
-        """The index of tiles by their ids, and the shard's bytes."""
+        """Return the index of tiles by their ids, and the shard's bytes."""
         ids = sorted(tiles)
         digests = b"".join(_digest(tiles[tile_id]) for tile_id in ids)
         index = cls(
@@ -66,22 +76,32 @@ class ShardIndex:
         return index, b"".join(tiles[tile_id] for tile_id in ids)
 
     def to_bytes(self) -> bytes:
-        """The index in 28 bytes a tile."""
+        """Return the index as bytes, 28 per tile."""
         table = np.empty(len(self.ids), _TILE)
         table["id"], table["length"], table["digest"] = self.ids, self.lengths, self.digests
         return table.tobytes()
 
     @classmethod
     def from_bytes(cls, blob: bytes) -> ShardIndex:
-        """What ``to_bytes`` gave. Raises ``ValueError`` for bytes of another length."""
+        """Return the index that ``to_bytes`` wrote. Raises ``ValueError`` for bytes of a wrong length."""
         table = np.frombuffer(blob, _TILE)
         return cls(*(np.ascontiguousarray(table[name]) for name in ("id", "length", "digest")))
 
 
 @dataclass(frozen=True)
 class ArchiveFacts:
-    """What an archive says of itself: the tiles' format, west, south, east and north in degrees (east may pass 180), the zooms in
-    which all tiles lie, and the JSON object of its metadata.
+    """The metadata of an archive.
+
+    Attributes
+    ----------
+    format : str
+        Format of the tiles.
+    bounds : tuple of float
+        West, south, east and north in degrees; east may exceed 180.
+    first_zoom, last_zoom : int
+        Range of zooms of the tiles.
+    metadata : Mapping
+        JSON object of the metadata.
     """
 
     format: Literal["png", "webp", "jpg"]
@@ -93,7 +113,19 @@ class ArchiveFacts:
 
 @dataclass(frozen=True)
 class ArchiveSize:
-    """How large an archive is: bytes of the file, tiles that it answers, entries of its directories, and contents stored."""
+    """The size of an archive.
+
+    Attributes
+    ----------
+    file_bytes : int
+        Bytes of the file.
+    tiles : int
+        Addressed tiles.
+    entries : int
+        Entries of the directories.
+    contents : int
+        Stored contents.
+    """
 
     file_bytes: int
     tiles: int
@@ -103,8 +135,16 @@ class ArchiveSize:
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Where everything will lie. ``stored`` (n,) bool says of every tile whether its bytes are copied; of entries there are
-    ``ids``, ``offsets`` (uint64, bytes from the first tile's), ``lengths`` and ``runs``.
+    """The positions of everything in an archive.
+
+    Attributes
+    ----------
+    stored : (tiles,) bool
+        Whether a tile's bytes are copied.
+    ids, offsets, lengths, runs : (entries,)
+        First tile id, offset in bytes from the first tile's, length in bytes and run length of each entry.
+    data_bytes : int
+        Bytes of all stored tiles.
     """
 
     stored: NDArray[np.bool_]
@@ -116,17 +156,17 @@ class _Layout:
 
 
 def write_archive(path: Path, indexes: Sequence[ShardIndex], read: Callable[[int], bytes], facts: ArchiveFacts) -> ArchiveSize:
-    """Write the tiles of shards as a PMTiles archive: whole, or not at all. The same tiles and facts give the same bytes.
+    """Write the tiles of shards as a PMTiles archive, atomically. Equal tiles and facts give equal bytes.
 
-    The indexes' tile ids ascend from one shard to the next. ``read(i)`` is asked for shard i's bytes once, in order. Equal
-    neighbours are one run, equal small tiles one content.
+    The tile ids of the indexes ascend from shard to shard. ``read(i)`` returns shard i's bytes; it is called once per shard, in
+    order. Equal neighbouring tiles form one run, and equal small tiles share one content.
 
-    Raises ``BrokenShardError`` for bytes that are not the index's, ``InputError`` where there is no tile, ``ValueError`` for ids in
-    another order or outside of the zooms, ``OSError``, and what ``read`` raises.
+    Raises ``BrokenShardError`` for bytes that do not match the index, ``InputError`` without any tile, ``ValueError`` for
+    unordered ids or ids outside of the zooms, ``OSError``, and the errors of ``read``.
     """
     layout = _layout(indexes, facts)
     head = _head(layout, facts)
-    with replaced_whole(path) as part, part.open("wb") as file:
+    with atomic_path(path) as part, part.open("wb") as file:
         file.write(head)
         first = 0
         for number, index in enumerate(indexes):
@@ -140,7 +180,7 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
     lengths = np.concatenate([np.empty(0, np.uint32), *(index.lengths for index in indexes)])
     digests = np.concatenate([np.empty((0, DIGEST_BYTES), np.uint8), *(index.digests for index in indexes)])
     if not len(ids):
-        raise InputError("tiles", "none", "at least one that shows data")
+        raise InputError("tiles", Problem("none shows data"), "Choose zooms at which the level has data")
     if not (ids[1:] > ids[:-1]).all():
         raise ValueError("tile ids of shards do not ascend")
     if not (first_tile_id(facts.first_zoom) <= ids[0] and ids[-1] < first_tile_id(facts.last_zoom + 1)):
@@ -152,7 +192,7 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
     goes_on = (ids[1:] == ids[:-1] + 1) & (keys[1:] == keys[:-1]) & (lengths[1:] == lengths[:-1])
     begins = np.flatnonzero(np.concatenate([[True], ~goes_on]))  # first tile of every entry
     runs = np.diff(np.append(begins, len(ids))).astype(np.uint64)
-    # The entry whose bytes each one refers to: the first of those that equal it.
+    # The entry whose bytes each entry refers to: the first equal one.
     source = np.arange(len(begins))
     small = np.flatnonzero(lengths[begins] < SHARED_BELOW_BYTES)
     _, first, which = np.unique(keys[begins[small]], return_index=True, return_inverse=True)
@@ -166,11 +206,11 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
 
 
 def _head(layout: _Layout, facts: ArchiveFacts) -> bytes:
-    """All that lies before the tiles' bytes."""
+    """Return everything that precedes the tiles' bytes."""
     root, leaves = _directories(layout)
     metadata = gzip.compress(json.dumps(dict(facts.metadata), sort_keys=True, allow_nan=False).encode(), mtime=0)
     west, south, east, north = facts.bounds
-    # A reader knows no degrees past 180: what reaches round the earth there is all round it.
+    # Readers accept no degrees beyond 180, so bounds across the antimeridian become all longitudes.
     west, east = (-180.0, 180.0) if east > 180.0 or west < -180.0 else (west, east)
     edges = [round(degrees * 1e7) for degrees in (west, max(south, -90.0), east, min(north, 90.0))]
     metadata_at, leaves_at = HEADER_BYTES + len(root), HEADER_BYTES + len(root) + len(metadata)
@@ -208,7 +248,7 @@ def _head(layout: _Layout, facts: ArchiveFacts) -> bytes:
 
 
 def _directories(layout: _Layout) -> tuple[bytes, bytes]:
-    """Root directory and leaf directories; the leaves are made larger until a root of them lies where readers look for it."""
+    """Return the root directory and the leaf directories. The leaves grow until the root fits its upper bound."""
     count, most = len(layout.ids), ROOT_END - HEADER_BYTES
     if count <= ROOT_ENTRIES:
         root = serialize_directory(_entries(layout, 0, count))
@@ -234,17 +274,17 @@ def _entries(layout: _Layout, first: int, end: int) -> list[Entry]:
 
 
 def _copy(file: BinaryIO, number: int, index: ShardIndex, shard: bytes, stored: NDArray[np.bool_]) -> None:
-    """Check a shard's tiles and write those that are stored. Raises ``BrokenShardError``."""
+    """Check a shard's tiles and write the stored ones. Raises ``BrokenShardError``."""
     ends = np.cumsum(index.lengths, dtype=np.int64).tolist()
     expected = ends[-1] if ends else 0
     if len(shard) != expected:
-        raise BrokenShardError(f"shard {number} has {len(shard)} bytes; its index says {expected}", number)
+        raise BrokenShardError(f"shard {number} has {len(shard)} bytes, but its index lists {expected}", number)
     view, digests = memoryview(shard), index.digests.tobytes()
     edges = [0, *ends]
     for row, (begin, end) in enumerate(pairwise(edges)):
         if _digest(view[begin:end]) != digests[row * DIGEST_BYTES : (row + 1) * DIGEST_BYTES]:
             z, x, y = tileid_to_zxy(int(index.ids[row]))
-            raise BrokenShardError(f"shard {number}: the bytes of tile {z}/{x}/{y} are not those that were written", number)
+            raise BrokenShardError(f"shard {number}: tile {z}/{x}/{y} does not match its digest", number)
     if stored.all():
         file.write(shard)
         return
@@ -257,5 +297,5 @@ def _digest(tile: bytes | memoryview) -> bytes:
 
 
 def first_tile_id(zoom: int) -> int:
-    """The first tile id of a zoom: the number of tiles of all zooms before it."""
+    """Return the first tile id of a zoom, which is the number of tiles of all lower zooms."""
     return (4**zoom - 1) // 3

@@ -1,7 +1,7 @@
 """Tasks drawn by a Dask cluster: https://distributed.dask.org.
 
-Dask hands out tasks, each a few numbers, and gets back where their tiles went: pictures go to the shards' place and never through
-the graph. What runs on Dask's workers is ``dask_worker``'s.
+Dask distributes tasks, each a few numbers, and returns the indexes of their tiles. Pictures go straight to the shard store and
+never through the task graph. ``dask_worker`` holds the code that runs on Dask's workers.
 """
 
 from __future__ import annotations
@@ -19,29 +19,31 @@ from typing import TYPE_CHECKING, Any
 
 from skugga.api.seed.messages import Drawn, NotDrawn, Task
 from skugga.api.seed.storage import store_at
-from skugga.terrain.errors import GraphicsError, InputError, RenderError
+from skugga.terrain.errors import GraphicsError, InputError, Problem, RenderError
 
 if TYPE_CHECKING:
     from skugga.api.seed.run_spec import RunSpec
 
 NOBODY_S = 120.0
-"""How long it is waited for a scheduler that has gone, and for the first worker: they may be started anew."""
+"""Timeout of a lost scheduler's return, and of the first worker: either may be restarting."""
 
 WORKERS_EVERY_S = 1.0
-"""How often it is looked which workers there are."""
+"""Interval between queries for the list of workers."""
 
 AHEAD = 2
-"""Tasks that a worker has: one that it draws and one that it finds at once when that is done."""
+"""Tasks queued per worker: the one being drawn, and the next one."""
 
 GONE = (OSError, ValueError, RuntimeError, TimeoutError, asyncio.CancelledError, concurrent.futures.CancelledError)
-"""What Dask's client raises where its scheduler has gone."""
+"""Errors that Dask's client raises when its scheduler is gone."""
 
 log = logging.getLogger("skugga")
 
 
 class DaskCluster:
-    """The workers of a cluster, by the address of its scheduler: their render processes warm up until a run is begun, and those of
-    workers that come later as soon as they come. Raises ``InputError`` where there is no scheduler.
+    """The workers of a cluster, found by the address of its scheduler.
+
+    Their render processes warm up before a run begins, and those of later workers when they join. Raises ``InputError`` if no
+    scheduler answers.
     """
 
     def __init__(self, address: str, nobody_s: float = NOBODY_S) -> None:
@@ -50,7 +52,9 @@ class DaskCluster:
 
             from skugga.api.seed import dask_worker
         except ImportError:
-            raise InputError("--scheduler", address, "pip install 'skugga[cluster]'") from None
+            raise InputError(
+                "--scheduler", Problem("the package distributed is not installed"), "Run pip install 'skugga[cluster]'"
+            ) from None
         self._distributed: Any = distributed
         self._on_worker: Any = dask_worker
         self._plugin = f"skugga-{secrets.token_hex(8)}"
@@ -64,11 +68,13 @@ class DaskCluster:
         try:
             self._client: Any = self._distributed.Client(address, timeout=10.0, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise InputError("--scheduler", address, f"the address of a Dask scheduler that answers ({_short(error)})") from None
+            raise InputError(
+                "--scheduler", Problem(f"no Dask scheduler answers at {address} ({_short(error)})"), "Check the address"
+            ) from None
         self._warm_up()
 
     def begin(self, spec: RunSpec, shards: str) -> DaskCluster:
-        """Let its workers draw for a run; this cluster. Raises ``OSError`` where the shards' place cannot be written."""
+        """Prepare the workers for a run, and return this cluster. Raises ``OSError`` if the shard store is not writable."""
         content = spec.model_dump_json().encode()
         name = f"run-{hashlib.blake2b(content, digest_size=8).hexdigest()}.json"
         store_at(shards).write(name, content)
@@ -76,11 +82,11 @@ class DaskCluster:
         return self
 
     def free(self) -> Sequence[int]:
-        """As the protocol says: which worker draws a task is Dask's to say, so there is one lane."""
+        """Implement ``Runner.free`` with a single lane, since Dask chooses the worker of a task."""
         return [0] * max(AHEAD * len(self._able()) - len(self._running), 0)
 
     def submit(self, task: Task, lane: int = 0) -> None:
-        """As the protocol says."""
+        """Implement ``Runner.submit``."""
         assert self._run is not None
         able = self._able()
         self._running[task.id] = task, None
@@ -94,13 +100,13 @@ class DaskCluster:
                 workers=able if self._refused else None,
             )
         except GONE:
-            self._looked = -WORKERS_EVERY_S  # it is given again when the scheduler is looked for
+            self._looked = -WORKERS_EVERY_S  # it is resubmitted once the scheduler returns
             return
         self._running[task.id] = task, future
         future.add_done_callback(lambda done, number=task.id: self._news.put((number, done)))
 
     def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
-        """As the protocol says."""
+        """Implement ``Runner.wait``."""
         self._look_for_workers()
         outcomes: list[Drawn | NotDrawn] = []
         until = clock.monotonic() + timeout_s
@@ -120,8 +126,8 @@ class DaskCluster:
         return outcomes
 
     def close(self) -> None:
-        """As the protocol says. The cluster goes on without this run."""
-        with suppress(Exception):  # of a scheduler that has gone
+        """Implement ``Runner.close``. The cluster itself keeps running."""
+        with suppress(Exception):  # the scheduler may be gone
             self._client.cancel([future for _, future in self._running.values()])
             self._client.unregister_worker_plugin(self._plugin)
         with suppress(Exception):
@@ -132,20 +138,20 @@ class DaskCluster:
                 store_at(shards).delete([name])
 
     def _warm_up(self) -> None:
-        """Let every worker have a render process, now and when it comes."""
+        """Start a render process on every worker, now and when a worker joins."""
         try:
             self._client.register_plugin(self._on_worker.WarmProcess(), name=self._plugin)
-        except Exception as error:  # a worker's own, or its scheduler has gone: it is told of by the first task
-            log.warning("%s: render processes start with the first tasks only: %s", self._address, _short(error))
+        except Exception as error:  # an error of a worker, or a lost scheduler: the first task reports it
+            log.warning("%s: render processes cannot warm up before their first tasks: %s", self._address, _short(error))
 
     def _outcome(self, task: Task, future: Any) -> list[Drawn | NotDrawn]:
         try:
             if future.status != "finished":
                 why = _short(future.exception(timeout=5.0))
                 del self._running[task.id]
-                return [NotDrawn(task.id, f"its Dask worker ended in the middle of it: {why}", "died")]
+                return [NotDrawn(task.id, f"its Dask worker ended while drawing it: {why}", "died")]
             said: Drawn | NotDrawn = future.result(timeout=30.0)
-        except GONE:  # what it was cannot be had from the scheduler any more
+        except GONE:  # the result is lost with the scheduler
             self._reach_again()
             return []
         del self._running[task.id]
@@ -162,7 +168,7 @@ class DaskCluster:
         return [worker for worker in self._workers if worker not in self._refused]
 
     def _look_for_workers(self) -> None:
-        """Find which workers there are. Raises ``RenderError`` where there has been none for long."""
+        """Update the list of workers. Raises ``RenderError`` if none has been present for long."""
         now = clock.monotonic()
         if now - self._looked < WORKERS_EVERY_S:
             return
@@ -180,14 +186,16 @@ class DaskCluster:
         if self._workers:
             self._seen = now
         elif now - self._seen > self._nobody_s:
-            raise RenderError(f"{self._address}: no worker has come within {self._nobody_s:g} s; what was drawn is kept")
+            raise RenderError(
+                f"{self._address}: no worker joined within {self._nobody_s:g} s. Run the same command again to resume."
+            )
 
     def _reach_again(self) -> None:
-        """Wait for a scheduler that has gone, and give it the tasks that it had. Raises ``RenderError``."""
+        """Reconnect to a lost scheduler, and resubmit its tasks. Raises ``RenderError``."""
         lost = [task for task, _ in self._running.values()]
         self._running = {}
-        log.warning("the scheduler %s does not answer; %d tasks are given to it again when it does", self._address, len(lost))
-        with suppress(Exception):  # it has nobody to say goodbye to
+        log.warning("the scheduler %s does not answer; %d tasks are resubmitted when it does", self._address, len(lost))
+        with suppress(Exception):  # the scheduler is gone
             self._client.close(timeout=1.0)
         until = clock.monotonic() + self._nobody_s
         while True:
@@ -197,8 +205,8 @@ class DaskCluster:
             except GONE as error:
                 if clock.monotonic() > until:
                     raise RenderError(
-                        f"{self._address}: the scheduler has not come back within {self._nobody_s:g} s ({_short(error)}); "
-                        f"what was drawn is kept"
+                        f"{self._address}: the scheduler did not return within {self._nobody_s:g} s ({_short(error)}). "
+                        f"Run the same command again to resume."
                     ) from None
                 clock.sleep(1.0)
         self._warm_up()

@@ -1,4 +1,4 @@
-"""What runs on a Dask cluster's workers: each keeps one render process, for an OpenGL context may not move between threads."""
+"""Code that runs on a Dask cluster's workers. Each keeps one render process, since an OpenGL context must not change threads."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from skugga.terrain.errors import GraphicsError
 
 
 class KeptProcess:
-    """The render process of a Dask worker: of the run that it draws for, or a warm one for the next."""
+    """The render process of a Dask worker: either of the current run, or warm for the next one."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -23,8 +23,8 @@ class KeptProcess:
         self._process: RenderProcess | None = None
 
     def warm_up(self) -> None:
-        """Start a process, where there is none. It is not waited for."""
-        if self._lock.acquire(blocking=False):  # else one draws
+        """Start a process if none exists, without waiting for it."""
+        if self._lock.acquire(blocking=False):  # otherwise a task is being drawn
             try:
                 if self._process is None:
                     self._process = RenderProcess(threads_of_one(1))
@@ -32,7 +32,7 @@ class KeptProcess:
                 self._lock.release()
 
     def draw(self, shards: str, spec: str, task: Task) -> Drawn | NotDrawn:
-        """A task of a run, drawn now."""
+        """Draw a task of a run."""
         with self._lock:
             try:
                 process = self._of((shards, spec))
@@ -48,7 +48,7 @@ class KeptProcess:
                 return NotDrawn(task.id, str(ended), "died")
 
     def end(self) -> None:
-        """End the process, unless it draws: then it is of another run, or it is ended when the next one begins."""
+        """End the process unless it draws. A drawing process belongs to another run, or ends when the next run begins."""
         if self._lock.acquire(blocking=False):
             try:
                 self._end()
@@ -73,21 +73,21 @@ class KeptProcess:
 
 
 kept = KeptProcess()
-"""This worker's."""
+"""The render process of this Dask worker."""
 
 
 class WarmProcess(WorkerPlugin):
-    """Lets a worker have a render process before its first task: as soon as it comes, and until it or the run ends."""
+    """Dask plugin that gives a worker a warm render process from the time it joins until it or the run ends."""
 
     def setup(self, worker: Any) -> None:
-        """Of Dask: the worker has come, or the run begins."""
+        """Implement Dask's hook: the worker has joined, or the run begins."""
         kept.warm_up()
 
     def teardown(self, worker: Any) -> None:
-        """Of Dask: the worker goes, or the run has ended."""
+        """Implement Dask's hook: the worker leaves, or the run has ended."""
         kept.end()
 
 
 def draw_on_worker(shards: str, spec: str, task: tuple[Any, ...]) -> Drawn | NotDrawn:
-    """What a Dask worker runs: a task of the run whose ``RunSpec`` lies with the shards under a name."""
+    """Draw a task on a Dask worker. ``spec`` names the file in the shard store that holds the ``RunSpec``."""
     return replace(kept.draw(shards, spec, Task(*task)), worker=get_worker().address)

@@ -1,4 +1,4 @@
-"""A task drawn: its block's tiles, one after another in a shard."""
+"""Drawing of a task: the tiles of its block, concatenated in a shard."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from skugga.api.seed.run_spec import MATRIX_SET, RunSpec
 from skugga.api.seed.storage import ShardStore
 from skugga.api.workers.block_tiles import BLOCK_TILES, Place, empty_tile, tiles_of_array, tiles_of_picture
 from skugga.api.workers.block_views import block_of_grid, grid_of_zoom
-from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS
-from skugga.terrain.compiling.hooks import need
+from skugga.terrain.compiling.ahead_of_time import MAPS, MAPS_OF_CASTERS
+from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.errors import InputError
-from skugga.terrain.gbuffer.bare_ground import forget_ground_before
+from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
 RSS_UNIT_BYTES = 1 if sys.platform == "darwin" else 1024
-"""Of ``getrusage``."""
+"""Unit of ``ru_maxrss`` in ``getrusage``."""
 
 
 class Drawer:
@@ -35,7 +35,7 @@ class Drawer:
     def __init__(self, spec: RunSpec, store: ShardStore) -> None:
         self._spec, self._store = spec, store
         loaded = load_level(spec.level)
-        need(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else MAPS)
+        declare_product(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else MAPS)
         self._scene = build_scene(loaded)
         self._under = {number: self._scene.with_sun(sun) for number, sun in enumerate(spec.suns)}
 
@@ -43,7 +43,7 @@ class Drawer:
         """Draw a task and write its shard. Raises ``SkuggaError`` and ``OSError``."""
         start = clock.perf_counter()
         tiles, encode_s = tiles_of_task(self._under[task.sun], self._spec, task)
-        forget_ground_before(1)  # the next task may be of the same block under another sun, but of no block before it
+        trim_bare_ground_cache(1)  # the next task may reuse this block under another sun, but no earlier block
         index, content = ShardIndex.of(tiles)
         if content:
             self._store.write(task.shard, content)
@@ -56,7 +56,7 @@ class Drawer:
 
 
 def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, bytes], float]:
-    """Return the tiles of a task that show any data, by tile id, and how long writing their files took, seconds."""
+    """Return the tiles of a task that show data, by tile id, and the duration of encoding them in seconds."""
     view, request = block_of_grid(grid_of_zoom(MATRIX_SET, task.zoom), task.x, task.y), spec.request(task.sun)
     product, plan = request.record, spec.plan_by_place.get((task.sun, task.zoom))
     files: Mapping[Place, bytes | None]
@@ -79,7 +79,7 @@ def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, by
 
 
 def check_seeded_format(layer: str, format: str) -> None:
-    """Raise ``InputError`` where pyramids of a product have no such format."""
+    """Raise ``InputError`` if pyramids of a product do not support the format."""
     product = product_named(layer, SEEDED_PRODUCTS, "--layer")
     formats = [each for each in PICTURE_FORMATS if each in product.map_formats]
     if format not in formats:

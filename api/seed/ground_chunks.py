@@ -1,4 +1,4 @@
-"""What ground is, chunk by chunk: digests by which it is known which tiles a change of a raster can reach."""
+"""Digests of the ground by chunk. They tell which tiles a change of a raster can affect."""
 
 from __future__ import annotations
 
@@ -12,23 +12,31 @@ import numpy as np
 from skugga.terrain.ground.elevation import Elevation
 
 LEAST_SIDE = 64
-"""Side of a chunk in cells; of large rasters twice as many, four times ..., ..."""
+"""Side of a chunk in cells. It doubles for large rasters until ``MOST_CHUNKS`` suffice."""
 
 MOST_CHUNKS = 16_384
-"""... until there are no more than so many."""
+"""Upper bound of the number of chunks of a raster."""
 
 READ_CELLS = 2**23
-"""Cells that are read at once."""
+"""Number of cells read at once."""
 
 CHUNK_DIGEST_BYTES = 16
 
 
 @dataclass(frozen=True, eq=False)
 class GroundChunks:
-    """Square chunks of a raster, ``side`` cells each, from its first cell on.
+    """Square chunks of a raster, counted from its first cell.
 
-    ``digests`` (rows, cols, 16) uint8 change with any cell and with any overview that the file has of it; ``low_m`` and ``high_m``
-    (rows, cols) float32 are heights as drawn, NaN without any. ``holes``: whether any cell of the raster has none.
+    Attributes
+    ----------
+    side : int
+        Cells per side of a chunk.
+    digests : (rows, cols, 16) uint8
+        Digests of all cells of a chunk and of their overviews in the file.
+    low_m, high_m : (rows, cols) float32
+        Lowest and highest drawn height in metres; NaN without data.
+    holes : bool
+        Whether any cell of the raster has no data.
     """
 
     side: int
@@ -39,11 +47,11 @@ class GroundChunks:
 
     @cached_property
     def digest(self) -> bytes:
-        """Of all of the ground."""
+        """Digest of the whole ground."""
         return hashlib.blake2b(np.int64(self.side).tobytes() + self.digests.tobytes(), digest_size=CHUNK_DIGEST_BYTES).digest()
 
     def to_bytes(self) -> bytes:
-        """For the task table."""
+        """Return the chunks as bytes for the task table."""
         out = io.BytesIO()
         np.savez_compressed(
             out, side=self.side, digests=self.digests, low_m=self.low_m, high_m=self.high_m, holes=self.holes
@@ -52,13 +60,13 @@ class GroundChunks:
 
     @classmethod
     def from_bytes(cls, content: bytes) -> GroundChunks:
-        """What ``to_bytes`` made."""
+        """Return the chunks that ``to_bytes`` wrote."""
         with np.load(io.BytesIO(content)) as kept:
             return cls(int(kept["side"]), kept["digests"], kept["low_m"], kept["high_m"], bool(kept["holes"]))
 
 
 def ground_chunks(elevation: Elevation) -> GroundChunks:
-    """Read all of a raster once. Raises ``SourceError`` for a part that cannot be read."""
+    """Compute the chunks of a raster, which is read once. Raises ``SourceError`` for an unreadable part."""
     side = LEAST_SIDE
     while -(-elevation.rows // side) * -(-elevation.cols // side) > MOST_CHUNKS:
         side *= 2
@@ -82,11 +90,11 @@ def ground_chunks(elevation: Elevation) -> GroundChunks:
                 digests[i, j] = np.frombuffer(digest.digest(), np.uint8)
                 holes |= not valid.all()
                 if valid.any():
-                    low_m[i, j], high_m[i, j] = elevation.stored_range_m(cells[valid])
+                    low_m[i, j], high_m[i, j] = elevation.surface_range_m(cells[valid])
     return GroundChunks(side, digests, low_m, high_m, holes)
 
 
 def _coarser(elevation: Elevation, rows: slice, cols: slice, factor: int) -> tuple[int, np.ndarray]:
-    """An overview's cells of a window: with their factor."""
+    """Return an overview's factor and its cells in a window."""
     shape = max((rows.stop - rows.start) // factor, 1), max((cols.stop - cols.start) // factor, 1)
     return factor, elevation.stored(rows, cols, shape)[0]

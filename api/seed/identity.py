@@ -1,4 +1,4 @@
-"""What a level is, wherever its files lie and whenever they were written: digests of its settings and of its files' contents."""
+"""Identity of a level, independent of where its files lie and when they were written: digests of settings and file contents."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from skugga.api.seed.ground_chunks import GroundChunks, ground_chunks
 from skugga.api.seed.task_table import TaskTable
 from skugga.shadows.plan import Plan
 from skugga.terrain.level.level import LoadedLevel
-from skugga.terrain.level.linked_files import files_beside, is_remote, linked_files
+from skugga.terrain.level.linked_files import is_remote, linked_files, sidecar_files
 from skugga.terrain.scene import Scene
 
 NO_PICTURE = {"title", "attribution", "views", "shadows", "sun", "archive"}
-"""Keys of a level by which no tile becomes another one; what ``shadows`` says is in the plans, and a sun is told by itself."""
+"""Keys of a level that do not affect tiles directly. The plans include ``shadows``, and the sun has its own digest."""
 
 READ_BYTES = 2**20
 
 
 def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
-    """The digest of all that a level says of its tiles but the ground's heights, for a scene of it. Raises ``OSError``."""
+    """Return the digest of everything in a level that affects its tiles, except the ground's heights. Raises ``OSError``."""
     said = loaded.level.model_dump(mode="json", exclude=NO_PICTURE)
     terrain = loaded.level.terrain.source
     contents = {name: contents_digest(loaded.resolve(name), table) for name in _names(loaded) if name != terrain}
@@ -37,7 +37,10 @@ def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
 
 
 def ground_of(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> GroundChunks:
-    """The chunks of a level's ground: read anew only if a file that it is in has changed. Raises ``SourceError``."""
+    """Return the chunks of a level's ground. They are recomputed only if one of the ground's files has changed.
+
+    Raises ``SourceError``.
+    """
     source = loaded.source
     stamp = _stamp_of(source) if source and Path(source).exists() else None
     asked = f"{stamp} {loaded.level.terrain.model_dump_json()} {None if loaded.level.water is None else loaded.level.water.level}"
@@ -50,9 +53,9 @@ def ground_of(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> GroundChun
 
 
 def contents_digest(source: str, table: TaskTable) -> str:
-    """The digest of a file's bytes, of those that it leads to and of those beside it; of an address, of that alone.
+    """Return the digest of a file's bytes, including linked files and sidecar files. An address contributes only its text.
 
-    Files whose stamps have not changed are not read again. Raises ``OSError``.
+    Files with unchanged stamps are not read again. Raises ``OSError``.
     """
     digest = hashlib.blake2b(digest_size=16)
     for path in _files_of(source):
@@ -69,19 +72,19 @@ def contents_digest(source: str, table: TaskTable) -> str:
 
 
 def plan_digest(plan: Plan | None) -> str:
-    """The digest of what a plan does, whatever its reasons and expectations."""
+    """Return the digest of a plan's actions, without its reasons and expectations."""
     return digest_of_json(None if plan is None else plan.model_dump(mode="json", include={"algorithm", "settings"}) | {
         "effects": sorted(plan.runs)
     })  # fmt: skip
 
 
 def digest_of_json(value: Any) -> str:
-    """32 hexadecimal digits."""
+    """Return a digest of a JSON value as 32 hexadecimal digits."""
     return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=16).hexdigest()
 
 
 def _names(loaded: LoadedLevel) -> list[str]:
-    """The files that a level names, in its own spelling."""
+    """Return the names of files in a level, as written there."""
     level = loaded.level
     named = [level.terrain.source, level.terrain.imagery, *(stand.source for stand in level.forest)]
     for mesh in level.meshes:
@@ -90,7 +93,7 @@ def _names(loaded: LoadedLevel) -> list[str]:
 
 
 def _without_paths(value: Any, contents: dict[str, str]) -> Any:
-    """A value in which names of files are replaced by digests of their contents."""
+    """Return a value with names of files replaced by the digests of their contents."""
     if isinstance(value, dict):
         return {key: _without_paths(each, contents) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -100,7 +103,7 @@ def _without_paths(value: Any, contents: dict[str, str]) -> Any:
 
 def _files_of(source: str) -> list[Path]:
     found = [Path(source), *(Path(each) if not is_remote(each) else Path(each) for each in linked_files(source))]
-    beside = [each for path in found if not is_remote(str(path)) for each in files_beside(path)]
+    beside = [each for path in found if not is_remote(str(path)) for each in sidecar_files(path)]
     return [path for path in dict.fromkeys([*found, *beside]) if is_remote(str(path)) or path.is_file()]
 
 

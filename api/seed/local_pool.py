@@ -14,30 +14,32 @@ from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import GraphicsError
 
 MOST_FRUITLESS = 5
-"""Starts in a row of processes that end, or hang, before they drew anything: then something is wrong with all of them."""
+"""Upper bound of starts in a row, per process, that draw nothing before they end or hang. More indicates a common cause."""
 
 
 class Runner(Protocol):
-    """What draws tasks. To be used from one thread."""
+    """Draws tasks. For use from one thread."""
 
     def free(self) -> Sequence[int]:
-        """The lanes to which a task may be submitted now, once for each. Tasks of one lane that follow one another are best
-        neighbours.
+        """Return the lanes that accept a task now; a lane is listed once per task that it accepts.
+
+        Consecutive tasks of a lane are best neighbours.
         """
 
     def submit(self, task: Task, lane: int) -> None:
-        """Begin a task."""
+        """Start a task."""
 
     def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
-        """What has become of tasks, waited for so long. Raises ``GraphicsError`` where nothing can be drawn at all."""
+        """Return outcomes of tasks, after waiting for at most ``timeout_s``. Raises ``GraphicsError`` if nothing can be drawn."""
 
     def close(self) -> None:
-        """End all; what is being drawn is lost."""
+        """End all workers. Tasks that are being drawn are lost."""
 
 
 class LocalPool:
-    """So many processes of this machine, that warm up until a run is begun. One that dies, or hangs, is replaced; its task is told
-    of as ``died``.
+    """A fixed number of render processes of this machine, which warm up before a run begins.
+
+    A process that dies or hangs is replaced, and the outcome of its task is ``died``.
     """
 
     def __init__(self, workers: int, start_limit_s: float = START_LIMIT_S) -> None:
@@ -47,22 +49,22 @@ class LocalPool:
         self._processes = [self._started(number) for number in range(workers)]
 
     def begin(self, spec: RunSpec, shards: str) -> LocalPool:
-        """Let them draw for a run; this pool."""
+        """Prepare the processes for a run, and return this pool."""
         self._run = spec.model_dump_json(), shards
         for process in self._processes:
             process.begin(*self._run)
         return self
 
     def free(self) -> Sequence[int]:
-        """As the protocol says: a process is a lane."""
+        """Implement ``Runner.free``; each process is a lane."""
         return [lane for lane, process in enumerate(self._processes) if process.begun and process.task is None]
 
     def submit(self, task: Task, lane: int) -> None:
-        """As the protocol says."""
+        """Implement ``Runner.submit``."""
         self._processes[lane].draw(task)
 
     def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
-        """As the protocol says."""
+        """Implement ``Runner.wait``."""
         outcomes: list[Drawn | NotDrawn] = []
         by_connection = {
             process.connection: process for process in self._processes if process.task is not None or not process.begun
@@ -85,13 +87,13 @@ class LocalPool:
         return outcomes
 
     def close(self) -> None:
-        """As the protocol says."""
+        """Implement ``Runner.close``."""
         for process in self._processes:
             process.end()
 
     @property
     def pids(self) -> list[int]:
-        """Its processes' ids."""
+        """Ids of the processes."""
         return [process.pid for process in self._processes]
 
     def _started(self, number: int) -> RenderProcess:
@@ -102,9 +104,7 @@ class LocalPool:
         process.end()
         self._fruitless += 1
         if self._fruitless >= MOST_FRUITLESS * len(self._processes):
-            raise GraphicsError(
-                f"{self._fruitless} render processes in a row ended, or gave no answer, before they had drawn anything"
-            )
+            raise GraphicsError(f"{self._fruitless} render processes in a row ended or did not answer before they drew anything")
         number = self._processes.index(process)
         another = self._processes[number] = self._started(number)
         assert self._run is not None

@@ -1,5 +1,6 @@
-"""What a run and its render processes say to each other. Nothing is imported here that draws: a cluster's workers, which only pass
-it on, start in no time.
+"""Messages between a run and its render processes.
+
+This module imports nothing that draws: a cluster's workers only forward these messages and must start fast.
 """
 
 from __future__ import annotations
@@ -8,12 +9,24 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 LEAST_LIMIT_S = 600.0
-"""For so long a process may draw any task: one whose loops nobody has compiled yet takes minutes."""
+"""Minimum timeout of a task in seconds. A task whose loops are not compiled yet takes minutes."""
 
 
 class Task(NamedTuple):
-    """A metatile: a block (x, y) of a zoom under a sun, the name of the shard that its tiles go to, and after how many seconds
-    the process that draws it counts as hung.
+    """A metatile: a block (x, y) of a zoom under a sun.
+
+    Attributes
+    ----------
+    id : int
+        Number of the task in the table.
+    sun : int
+        Index of the sun in the run.
+    zoom, x, y : int
+        The block.
+    shard : str
+        Name of the shard for its tiles.
+    limit_s : float
+        Timeout in seconds, after which the process that draws it counts as hung.
     """
 
     id: int
@@ -27,8 +40,22 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is told of a task that was drawn: its tiles' index (``ShardIndex.to_bytes``), bytes of its shard, seconds, of which
-    ``encode_s`` for pictures' files, and the most memory that its process ever took.
+    """The result of a drawn task.
+
+    Attributes
+    ----------
+    id : int
+        Number of the task.
+    index : bytes
+        Index of its tiles (``ShardIndex.to_bytes``).
+    nbytes : int
+        Bytes of its shard.
+    seconds, encode_s : float
+        Duration in seconds, in total and of encoding.
+    peak_bytes : int
+        Peak memory of the process so far.
+    worker : str
+        Address of the worker in a cluster.
     """
 
     id: int
@@ -42,7 +69,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Begin:
-    """Tells a process which run's tasks it will draw (``RunSpec`` as JSON), and where their shards go."""
+    """Prepares a process for the tasks of a run (``RunSpec`` as JSON), with the place of their shards."""
 
     spec: str
     shards: str
@@ -50,15 +77,26 @@ class Begin:
 
 @dataclass(frozen=True)
 class Begun:
-    """It is ready to draw."""
+    """The process is ready to draw."""
 
     renderer: str
 
 
 @dataclass(frozen=True)
 class NotDrawn:
-    """A task that was not drawn, and why: it ``failed``, its worker ``died``, the run is ``stopped``, whatever the task, or a
-    ``worker`` of a cluster is ``refused``.
+    """A task that was not drawn, and the reason.
+
+    Attributes
+    ----------
+    id : int
+        Number of the task.
+    error : str
+        The reason.
+    how : str
+        ``failed``: the task failed. ``died``: its worker died. ``stopped``: the run must stop, whatever the task. ``refused``:
+        the cluster's ``worker`` cannot draw this run.
+    worker : str
+        Address of the worker in a cluster.
     """
 
     id: int
@@ -69,6 +107,6 @@ class NotDrawn:
 
 @dataclass(frozen=True)
 class NotBegun:
-    """A process that cannot draw tasks of a run."""
+    """The process cannot draw tasks of the run."""
 
     error: str

@@ -1,4 +1,4 @@
-"""The tasks of a run: which there are, what each one's tiles hang on, by which plans they are drawn, and how long that may take."""
+"""Planning of a run: its tasks, the inputs that their tiles depend on, their plans and their expected durations."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from skugga.api.workers.jobs import LevelKey, Tiles
 from skugga.api.workers.map_plans import plan_in_service
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.worker_state import tiles_view
-from skugga.selector.kept_probes import load_probes, probes_folder
+from skugga.selector.probe_store import load_probes, probes_folder
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import RENDERER_VERSION
 from skugga.terrain.errors import InputError, NoOpenGLError, RenderError, UnsupportedError
@@ -48,19 +48,31 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
 UNKNOWN_TASK_S = 0.25
-"""Seconds that a whole task may take of which nothing is known; with a prediction ..."""
+"""Seconds of a full task without any prediction."""
 
 BESIDE_SHADOWS_S = 0.15
-"""... it is that and so much for ground, shading and files."""
+"""Seconds that ground, shading and files add to the prediction of a full task."""
 
 EMPTY_SHARE = 0.05
-"""Of a whole task's time, what one takes that shows hardly any data."""
+"""Duration of a task that shows hardly any data, relative to a full task."""
 
 
 @dataclass(frozen=True)
 class SeedRequest:
-    """What is asked for: a level, zooms (``None``: from the one that shows all of it to the one of its cells), suns (``None``: the
-    level's own), a product and what is asked of it whatever the sun, and a format.
+    """The request for a pyramid.
+
+    Attributes
+    ----------
+    level : LevelSource
+        The level.
+    zooms : ZoomRange or None
+        Zooms; ``None``: from the zoom that shows the whole level to the zoom of its cells.
+    suns : tuple
+        Suns; ``None`` is the level's own.
+    asked : ProductRequest
+        The product and its options, independent of the sun.
+    format : str
+        Format of the tiles.
     """
 
     level: LevelSource
@@ -72,8 +84,24 @@ class SeedRequest:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A run whose tasks stand in the table. ``sun_names`` stand for its suns there; ``files`` are what the level is read from, with
-    ``stamps`` of before they were read; ``bounds`` is where the data lies.
+    """A run whose tasks are in the table.
+
+    Attributes
+    ----------
+    spec : RunSpec
+        The run as workers read it.
+    loaded : LoadedLevel
+        The level.
+    sun_names : tuple of str
+        Names of its suns in the table.
+    zooms : ZoomRange
+        Zooms of the pyramid.
+    bounds : tuple of float
+        Bounds of the data in degrees.
+    files : tuple of Path
+        Files of the level.
+    stamps : tuple
+        Stamps of these files, taken before they were read.
     """
 
     spec: RunSpec
@@ -86,12 +114,12 @@ class PlannedRun:
 
     @property
     def unchanged(self) -> bool:
-        """Whether the level's files are as they were when they were read."""
+        """Whether the level's files are unchanged since they were read."""
         return file_stamps(self.files) == self.stamps
 
 
 def renderer_here() -> str:
-    """What this process draws with."""
+    """Return the name of this process's renderer."""
     try:
         return gl.device().renderer
     except NoOpenGLError:
@@ -99,12 +127,13 @@ def renderer_here() -> str:
 
 
 def plan_run(table: TaskTable, request: SeedRequest, say: Callable[[str], None]) -> PlannedRun:
-    """Fill a table with the tasks of a run. Of a level that has not changed they are there already. Raises ``SkuggaError`` and
-    ``OSError``.
+    """Fill a table with the tasks of a run. The tasks of an unchanged level are reused.
+
+    Raises ``SkuggaError`` and ``OSError``.
     """
     loaded = load_level(request.level)
     files = watched_files(loaded)
-    stamps = file_stamps(files)  # before they are read: what changes meanwhile is noticed
+    stamps = file_stamps(files)  # before reading, so that a later change is detected
     renderer = _renderer_of(table)
     scene = build_scene(loaded)
     try:
@@ -135,12 +164,12 @@ def _planned(
     suns: Sequence[str],
     say: Callable[[str], None],
 ) -> RunSpec:
-    table.put(asked=b"")  # whatever ends this now, it is done again
+    table.put(asked=b"")  # an interrupted planning is repeated
     say("Reading the ground")
     ground = ReachedGround(scene, ground_of(loaded, scene, table))
     product, overrides = request.asked.record, request.asked.overrides
     asked = [level_digest(loaded, scene, table), request.format, request.asked.model_dump(mode="json")]
-    # Colours are stretched over the level's heights, and lines towards the sun are placed at their middle.
+    # The range of heights scales colours, and its middle places lines towards the sun.
     drawn_by, heights = digest_of_json([RENDERER_VERSION, renderer]), digest_of_json(scene.height_range_m)
     planner = _Planner(table, loaded, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
     tasks, plans, measured = [], [], table.measured()
@@ -167,7 +196,7 @@ def _planned(
 
 
 class _Planner:
-    """Makes the plans of a level's zooms, as a service would make them; those that the table has stand."""
+    """Makes the plans of a level's zooms as a service would. Plans in the table are reused."""
 
     def __init__(self, table: TaskTable, loaded: LoadedLevel, level: LevelKey, overrides: dict[str, Any]) -> None:
         self._table, self._level, self._overrides = table, level, overrides
@@ -176,7 +205,7 @@ class _Planner:
         self._basis: PlanBasis | None = None
 
     def plan(self, scene: Scene, sun: str, zoom: int) -> Plan:
-        """The plan of a zoom under a scene's sun, which has a name in the table. Raises ``SkuggaError``."""
+        """Return the plan of a zoom under a scene's sun, which has the name ``sun`` in the table. Raises ``SkuggaError``."""
         kept = self._table.plan(sun, zoom, self._asked)
         if kept is not None:
             return Plan.model_validate_json(kept)
@@ -189,13 +218,13 @@ class _Planner:
 
 
 def _own_sun(scene: Scene) -> Any:
-    """The sun of a level that a request leaves to it, for its digest."""
+    """Return the sun of a level as JSON values for a digest, for requests without a sun."""
     sun = scene.loaded.level.sun
     return sun if sun is None or sun == "none" else sun.model_dump(mode="json")
 
 
 def _basis(level: LevelKey) -> PlanBasis:
-    """What a service here would make plans by."""
+    """Return the inputs of plans that a service on this machine would use."""
     if renderer_here() == NO_OPENGL:
         return PlanBasis()
     probes = load_probes(probes_folder(*gl.renderer_and_version()) / f"{level.version}.json")
@@ -203,30 +232,33 @@ def _basis(level: LevelKey) -> PlanBasis:
 
 
 def _renderer_of(table: TaskTable) -> str:
-    """The renderer of a table's plans: this process's, in a new one. Raises ``RenderError`` where it is another one."""
+    """Return the renderer of a table's plans; a new table gets that of this process.
+
+    Raises ``RenderError`` if this process draws with another renderer.
+    """
     here, kept = renderer_here(), table.get("renderer")
     if kept is None:
         table.put(renderer=here.encode())
     elif kept.decode() != here:
         raise RenderError(
-            f"{table.folder}: its tasks are planned for the renderer '{kept.decode()}', and here '{here}' draws; run it there, "
-            f"or delete the folder to begin anew"
+            f"{table.folder}: its tasks are planned for the renderer '{kept.decode()}', but this machine draws with '{here}'. "
+            f"Use a machine with that renderer, or delete the folder to start again."
         )
     return here
 
 
 def _zooms(scene: Scene, asked: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
-    """The zooms of a run, and where the level's data lies. Raises ``InputError`` for zooms beyond the data."""
+    """Return the zooms of a run, and the bounds of the level's data. Raises ``InputError`` for zooms beyond the data."""
     shown = scene.bounds_lon_lat
-    if shown is None or scene.world.off_earth is not None:
-        raise UnsupportedError("LEVEL", scene.loaded.name, f"{scene.world.off_earth}, so there are no tiles")
+    if shown is None or scene.world.off_earth_reason is not None:
+        raise UnsupportedError("LEVEL", scene.loaded.name, f"{scene.world.off_earth_reason}, so there are no tiles")
     cell_m, matrix_set = scene.elevation.cell_size_m(scene.world.metres_per_unit), matrix_set_of(MATRIX_SET)
     served, of_ground = (zoom_range(matrix_set, scene.world, shown, detail) for detail in (detail_m(scene), cell_m))
     if served is None or of_ground is None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"it lies outside of {MATRIX_SET}")
     cells_at = max(of_ground.last - OVERZOOMS, served.first)
     if asked is not None and not 0 <= asked.first <= asked.last <= served.last:
-        allowed = f"zooms 0 to {served.last} (its cells show at {cells_at}), the first one first"
+        allowed = f"zooms 0 to {served.last} in ascending order (full resolution at zoom {cells_at})"
         raise InputError("--zooms", f"{asked.first}-{asked.last}", allowed)
     west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
         *scene.elevation.bounds, densify_pts=21
@@ -236,7 +268,7 @@ def _zooms(scene: Scene, asked: ZoomRange | None) -> tuple[ZoomRange, LonLatBoun
 
 
 def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
-    """The blocks (x, y) of a zoom that may show data in some bounds."""
+    """Return the blocks (x, y) of a zoom that may show data within some bounds."""
     matrix_set, side = matrix_set_of(MATRIX_SET), 2**zoom
     top, bottom, left, right = tile_limits(matrix_set, zoom, bounds)
     blocks = [
@@ -246,12 +278,12 @@ def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
     ]
     if (left, right) != (0, side - 1):
         return blocks
-    grid = tile_grid(matrix_set, zoom)  # round the earth, or across the antimeridian
+    grid = tile_grid(matrix_set, zoom)  # all longitudes, or across the antimeridian
     return [(x, y) for x, y in blocks if not extent_off_data(grid.crs, block_of_grid(grid, x, y).bounds, bounds)]
 
 
 def first_tile_of_block(zoom: int, x: int, y: int) -> int:
-    """The least tile id in a block: the ids of its tiles follow one another."""
+    """Return the smallest tile id of a block. The ids of its tiles are consecutive."""
     first = first_tile_id(zoom)
     if 2**zoom < BLOCK_TILES:
         return first
@@ -260,7 +292,7 @@ def first_tile_of_block(zoom: int, x: int, y: int) -> int:
 
 
 def _seconds_of_whole(plan: Plan | None, zoom: int, measured: dict[int, tuple[float, float]]) -> float:
-    """How long a task that is full of data is expected to take: as others of its zoom did, or as the plan predicts."""
+    """Return the expected duration of a full task: measured at its zoom, or predicted by the plan."""
     if zoom in measured:
         return measured[zoom][0]
     if plan is None or plan.predicted is None:

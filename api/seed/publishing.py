@@ -1,4 +1,6 @@
-"""What a run makes of its shards: an archive for each sun, or folders of tiles. Written only when all tasks are done."""
+"""The outputs of a run, made of its shards: an archive for each sun, or folders of tiles. Written only after all tasks are
+done.
+"""
 
 from __future__ import annotations
 
@@ -20,34 +22,35 @@ from skugga.api.seed.run_spec import MATRIX_SET
 from skugga.api.seed.running import shard_name
 from skugga.api.seed.storage import ShardStore
 from skugga.api.seed.task_table import LOST, TaskTable
-from skugga.terrain.errors import InputError
-from skugga.terrain.whole_files import forget_halves, write_whole
+from skugga.terrain.atomic_files import remove_partial_files, write_atomically
+from skugga.terrain.errors import InputError, Problem
 
 MANIFEST = "tiles.json"
-"""Of a folder of tiles: its TileJSON. It is written last: where it is, the folder is whole."""
+"""TileJSON of a folder of tiles. It is written last: its presence means that the folder is complete."""
 
 
 def is_archive(output: Path) -> bool:
-    """Whether an output is an archive; else it is a folder of tiles."""
+    """Return whether an output is an archive; otherwise it is a folder of tiles."""
     return output.suffix.lower() == ARCHIVE_SUFFIX
 
 
 def check_output(output: Path) -> None:
-    """Raise ``InputError`` or ``OSError`` for what cannot be written, before any work is done for it."""
+    """Raise ``InputError`` or ``OSError`` for an output that cannot be written, before any work is done."""
     if not output.parent.is_dir():
         raise FileNotFoundError(2, "folder not found", str(output.parent))
     if is_archive(output):
         if output.is_dir():
-            raise InputError("--output", str(output), "a file: there is a folder of that name")
+            raise InputError("--output", Problem(f"'{output}' is a folder"), "Choose another file name")
     elif output.exists() and not output.is_dir():
-        raise InputError("--output", str(output), f"a folder for tiles, or a name that ends in {ARCHIVE_SUFFIX}")
+        raise InputError("--output", str(output), f"a folder of tiles, or a file name that ends in {ARCHIVE_SUFFIX}")
     elif output.is_dir() and any(output.iterdir()) and not (output / MANIFEST).exists():
-        raise InputError("--output", str(output), f"a new folder, an empty one or one of tiles that has a {MANIFEST}")
+        raise InputError("--output", str(output), f"a new folder, an empty folder, or a folder of tiles with a {MANIFEST}")
 
 
 def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mapping[str, Path]) -> list[Path]:
-    """Write the outputs, by suns' names, that are not as the tasks are; the ones written. Tasks whose shards are broken wait again:
-    raises ``BrokenShardError`` then. Raises ``OSError``.
+    """Write the outputs, given by the names of suns, that are out of date, and return the written ones.
+
+    Tasks with broken shards wait again, and ``BrokenShardError`` is raised. Raises ``OSError``.
     """
     written = []
     for sun, output in outputs.items():
@@ -64,11 +67,11 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
             try:
                 return store.read(shard_name(keys[number]))
             except FileNotFoundError:
-                raise BrokenShardError(f"shard {number} is lost", number) from None
+                raise BrokenShardError(f"shard {number} is missing", number) from None
 
         try:
             if is_archive(output):
-                forget_halves(output)
+                remove_partial_files(output)
                 write_archive(output, indexes, read, _facts(run, sun))
             else:
                 _write_folder(table, output, numbers, keys, indexes, read, run, sun)
@@ -82,7 +85,7 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
 
 
 def _state_of(run: PlannedRun, sun: str, done: list[tuple[int, str, bytes]]) -> str:
-    """Changes with anything that an output says."""
+    """Return a digest of everything that an output contains."""
     digest = hashlib.blake2b(repr(_facts(run, sun)).encode(), digest_size=16)
     for _, key, tiles in done:
         digest.update(key.encode() + tiles)
@@ -116,7 +119,7 @@ def _write_folder(
     run: PlannedRun,
     sun: str,
 ) -> None:
-    """Write the tiles of tasks that are not in the folder yet, and the manifest last."""
+    """Write the tiles that the folder lacks, and the manifest last."""
     with suppress(FileNotFoundError):
         (output / MANIFEST).unlink()
     there = table.published(str(output))
@@ -133,10 +136,10 @@ def _write_folder(
             path.write_bytes(content[begin : begin + length])
             begin += length
         table.note_published(str(output), number, key, index.to_bytes())
-    for number, (_, tiles) in there.items():  # of zooms that are not asked for any more
+    for number, (_, tiles) in there.items():  # tasks of zooms that are no longer requested
         _delete_tiles(output, ShardIndex.from_bytes(tiles), run.spec.format)
         table.forget_published(str(output), number)
-    write_whole(output / MANIFEST, _tile_json(run, sun))
+    write_atomically(output / MANIFEST, _tile_json(run, sun))
 
 
 def _tile_path(output: Path, tile_id: int, format: str) -> Path:
@@ -151,7 +154,7 @@ def _delete_tiles(output: Path, index: ShardIndex, format: str) -> None:
 
 
 def _tile_json(run: PlannedRun, sun: str) -> str:
-    """TileJSON 3.0.0: https://github.com/mapbox/tilejson-spec/tree/master/3.0.0."""
+    """Return the TileJSON 3.0.0: https://github.com/mapbox/tilejson-spec/tree/master/3.0.0."""
     facts = _facts(run, sun)
     west, south, east, north = facts.bounds
     said = {

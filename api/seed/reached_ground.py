@@ -1,9 +1,11 @@
-"""Which chunks of ground the tiles of a block hang on: what they show, and what can throw its shadow there.
+"""The chunks of ground that the tiles of a block depend on: the visible ground, and occluders that can shade it.
 
-A chunk can shade a block if it lies, as the sun sees it, within the block's width, not wholly below its lowest ground, and not
-behind all of it: the rule of ``skugga.terrain.casters.reach``, asked of chunks by their own highest ground. So a mountain that was
-not there before counts as soon as it is high enough. It is asked with room to spare for what an algorithm adds to the shadow of
-ground: the sun's disc, the bending of rays and, where depth maps are drawn, the whole patches of casters that they are fitted to.
+A chunk can shade a block under three conditions, seen from the sun. It lies within the block's width, it is not wholly below
+the block's lowest ground, and it is not behind the whole block. This is the rule of ``skugga.terrain.casters.reach``, applied
+to chunks by their own highest ground. So a new mountain counts as soon as it is high enough.
+
+Margins cover what an algorithm adds to the shadow of ground: the sun's disc, refraction and, for shadow maps, the whole patches
+of casters that the maps are fitted to.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
-from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.gbuffer.supersampling import is_bare
 from skugga.terrain.geo.grid import BLOCK_PX, Grid
 from skugga.terrain.geo.light_space import LightSpace, light_space
 from skugga.terrain.geo.world import transformer
@@ -32,21 +34,29 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 
 WHOLE_LEVEL = frozenset({"clouds", "lamps"})
-"""Effects by which a picture hangs on ground anywhere."""
+"""Effects that make a picture depend on ground anywhere."""
 
 SIDE_PARTS = 4
-"""Parts of a block's side: its ground is bounded by the corners of these."""
+"""Parts per side of a block. The lattice of their corners bounds the block's ground."""
 
 BESIDE_PX, BESIDE_CELLS = 8, 8
-"""Pixels round a block, and cells round those, that its normals and its bilinear ground hang on."""
+"""Pixels around a block, and cells around those, that its normals and bilinear heights depend on."""
 
 BLUR_DEG = 0.3
-"""Half of the sun's disc, and a little more than terrestrial refraction bends a ray of 100 km."""
+"""Half of the sun's disc, plus slightly more than terrestrial refraction bends a ray of 100 km."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Chunks:
-    """Chunks of a raster as points: earth-fixed middles at their highest ground (n, 3), half their diagonals in metres (n,)."""
+    """Chunks of a raster as points.
+
+    Attributes
+    ----------
+    top_earth_m : (n, 3)
+        Earth-fixed middles at the chunks' highest ground, in metres.
+    half_m : (n,)
+        Half diagonals in metres.
+    """
 
     top_earth_m: np.ndarray
     half_m: np.ndarray
@@ -54,8 +64,18 @@ class _Chunks:
 
 @dataclass(frozen=True, eq=False)
 class _Sunlit:
-    """Chunks in light space: their ``tops`` (n, 3), with what stands there, ``tall_m`` at most; and whether the shadow of a place
-    is found ``point_by_point``.
+    """Chunks in light space.
+
+    Attributes
+    ----------
+    light : LightSpace
+        The light space of the sun.
+    tops : (n, 3)
+        Highest points, including objects on the ground.
+    tall_m : float
+        Height of the tallest object in metres.
+    point_by_point : bool
+        Whether shadows are computed for each point separately.
     """
 
     light: LightSpace
@@ -65,7 +85,7 @@ class _Sunlit:
 
 
 class ReachedGround:
-    """Says of blocks of a level's tiles, by a digest, whether any ground that their tiles hang on has changed."""
+    """Computes digests of blocks that change with any ground that their tiles depend on."""
 
     def __init__(self, scene: Scene, chunks: GroundChunks) -> None:
         self._scene, self._chunks = scene, chunks
@@ -73,14 +93,24 @@ class ReachedGround:
         self._cells: dict[tuple[Grid, int, int], tuple[float, float, float, float]] = {}
 
     def under(self, scene: Scene) -> ReachedGround:
-        """The same of the same ground under another sun: where blocks lie on it is found once for all."""
+        """Return a copy for the same ground under another sun. The positions of blocks on the ground are shared."""
         other = copy(self)
         other._scene = scene
         return other
 
     def digests(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None, shades_ground: bool) -> list[bytes]:
-        """A digest of each block (x, y) of a tile matrix's ``grid``; ``plan`` is what draws them under the scene's sun (``None``:
-        heights are told, and nothing is lit), and shades the ground, too, where the picture ``shades_ground``.
+        """Return a digest for each block (x, y) of a tile matrix's ``grid``.
+
+        Parameters
+        ----------
+        grid
+            The tile matrix's grid.
+        blocks
+            Blocks (x, y).
+        plan
+            Plan that draws the blocks under the scene's sun; ``None`` for products of heights without light.
+        shades_ground
+            Whether the picture includes the shading of the ground.
         """
         sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_PASS in plan.runs else None
         out = []
@@ -94,7 +124,7 @@ class ReachedGround:
         return out
 
     def reached(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None) -> list[np.ndarray]:
-        """The chunks (rows, cols) bool that each block hangs on."""
+        """Return the chunks that each block depends on, as bool masks (rows, cols)."""
         shape = self._chunks.low_m.shape
         if plan is not None and plan.runs & WHOLE_LEVEL:
             return [np.ones(shape, np.bool_) for _ in blocks]
@@ -106,7 +136,7 @@ class ReachedGround:
         return out
 
     def shares_on_data(self, grid: Grid, blocks: Sequence[tuple[int, int]]) -> list[float]:
-        """How much of each block lies on the raster, 0 to 1, about."""
+        """Return the approximate share of each block that lies on the raster, 0 to 1."""
         rows, cols = self._scene.elevation.shape
         out = []
         for x, y in blocks:
@@ -117,7 +147,7 @@ class ReachedGround:
         return out
 
     def _cells_of(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
-        """First and last row and column of the raster under a block and round it, infinite where that cannot be told."""
+        """Return the first and last row and column of the raster under a block and its margin; infinite if unknown."""
         place = grid, x, y
         if place not in self._cells:
             self._cells[place] = self._found_cells(grid, x, y)
@@ -133,7 +163,7 @@ class ReachedGround:
             return -np.inf, np.inf, -np.inf, np.inf
         coarse = max(2.0 ** self._scene.surface(grid).level, 1.0)
         beside = coarse * (BESIDE_CELLS + (FILL_CELLS if self._chunks.holes else 0))
-        sagged = [0.01 * np.ptp(values) + beside for values in (row, col)]  # sides of a block may be curved
+        sagged = [0.01 * np.ptp(values) + beside for values in (row, col)]  # margin for curved sides of a block
         if elevation.crs.is_geographic and (np.ptp(col) > elevation.cols / 2 or col.min() < 0 or col.max() > elevation.cols):
             return row.min() - sagged[0], row.max() + sagged[0], -np.inf, np.inf  # it may lie across the antimeridian
         return row.min() - sagged[0], row.max() + sagged[0], col.min() - sagged[1], col.max() + sagged[1]
@@ -147,18 +177,18 @@ class ReachedGround:
         return in_rows[:, None] & in_cols[None, :]
 
     def _tops_in_sun(self, plan: Plan) -> _Sunlit | None:
-        """The chunks' highest ground as the sun sees it; ``None`` where a plan casts no shadow of the sun."""
+        """Return the chunks' highest ground in light space; ``None`` if the plan casts no shadow of the sun."""
         scene = with_apparent_sun(self._scene, plan.runs)
         if scene.sun is None or not scene.sun_is_up or not plan.casts:
             return None
         light, tall_m = light_space(scene.world, scene.sun), scene.objects.tallest_m
         tops = light.from_earth(self._points.top_earth_m + tall_m * _unit(self._points.top_earth_m))
-        # What is drawn with OpenGL is drawn of all casters together, fitted to them; else each place is looked at by itself.
+        # Algorithms with OpenGL fit their maps to all casters; the others compute each point separately.
         fitted = any(ALGORITHMS[step.algorithm].needs_opengl for step in plan.steps)
         return _Sunlit(light, tops, tall_m, is_bare(scene) and not fitted)
 
     def _shading(self, grid: Grid, x: int, y: int, shown: np.ndarray, sunlit: _Sunlit) -> np.ndarray:
-        """The chunks that can throw a shadow on a block whose ground is in the chunks ``shown``."""
+        """Return the chunks that can cast a shadow on a block whose ground lies in the chunks ``shown``."""
         scene, known = self._scene, shown & np.isfinite(self._chunks.low_m)
         if not known.any():
             return np.zeros(shown.shape, np.bool_)
@@ -170,11 +200,11 @@ class ReachedGround:
             return np.ones(shown.shape, np.bool_)
         receivers = sunlit.light.from_earth(np.concatenate([point[there] + height * up[there] for height in (low_m, high_m)]))
         least, most, tops = receivers.min(axis=0), receivers.max(axis=0), sunlit.tops
-        away_m = np.maximum(most[2] - tops[:, 2], 0.0)
-        room_m = self._points.half_m + np.tan(np.radians(BLUR_DEG)) * away_m
+        distance_m = np.maximum(most[2] - tops[:, 2], 0.0)
+        room_m = self._points.half_m + np.tan(np.radians(BLUR_DEG)) * distance_m
         if not sunlit.point_by_point:
             step_m = map_pixel_m(scene.world, block_of_grid(grid, x, y))
-            room_m = room_m + np.maximum(PATCH_QUADS * step_m, away_m * 2.0 * PATCH_QUADS / FULL_DETAIL_NODES) * np.sqrt(2.0)
+            room_m = room_m + np.maximum(PATCH_QUADS * step_m, distance_m * 2.0 * PATCH_QUADS / FULL_DETAIL_NODES) * np.sqrt(2.0)
         can = (
             (tops[:, 0] >= least[0] - room_m) & (tops[:, 0] <= most[0] + room_m)
             & (tops[:, 1] >= least[1] - room_m) & (tops[:, 2] <= most[2] + room_m)
@@ -183,15 +213,15 @@ class ReachedGround:
 
 
 class _SkyDigests:
-    """What ground hides of the sky over parts of a raster."""
+    """The sky that the ground hides, as digests of parts of a raster."""
 
     def __init__(self, scene: Scene) -> None:
         self._view = sky_view(scene.elevation, scene.world)
 
     def of(self, cells: tuple[float, float, float, float]) -> bytes:
-        """The nodes' values under some cells, and those that means over wide pixels take in."""
+        """Return the nodes' values under some cells, with the margin that means over wide pixels include."""
         side, (rows, cols) = 2**self._view.level, self._view.hidden.shape
-        wide = max((cells[1] - cells[0]) / side / 32.0, 2.0)  # a pixel is a thousandth of a block
+        wide = max((cells[1] - cells[0]) / side / 32.0, 2.0)  # a pixel is about a thousandth of a block's side
         ends = []
         for low, high, count in ((cells[0], cells[1], rows), (cells[2], cells[3], cols)):
             ends.append(slice(int(np.clip(low / side - wide, 0, count)), int(np.clip(high / side + wide + 1.0, 0, count))))
@@ -213,12 +243,12 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
 
 
 def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
-    """Map coordinates of a lattice of places in a block, its rim and a little more."""
+    """Return map coordinates of a lattice over a block with a small margin."""
     steps = np.linspace(-BESIDE_PX, BLOCK_PX + BESIDE_PX, SIDE_PARTS + 1)
     col, row = np.meshgrid(x * BLOCK_PX + steps, y * BLOCK_PX + steps)
     return grid.x(col), grid.y(row)
 
 
 def _unit(point_earth_m: np.ndarray) -> np.ndarray:
-    """Directions from the earth's centre: up, near enough to stand something tall on."""
+    """Return unit vectors from the earth's centre, which approximate up well enough for placing tall objects."""
     return point_earth_m / np.linalg.norm(point_earth_m, axis=-1, keepdims=True)

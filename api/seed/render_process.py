@@ -1,7 +1,7 @@
-"""A process that draws tasks: what runs in it, and how it is started and asked. An OpenGL context stays in the thread that made it.
+"""A process that draws tasks: its main loop, and the parent's side. An OpenGL context stays in the thread that created it.
 
-It is a plain child, not one of ``multiprocessing``: a cluster's workers may not have such children of their own. It ends when its
-connection is closed, however the other side ends.
+It is a plain child process instead of one of ``multiprocessing``, because a cluster's workers may not have such children. It
+ends when its connection is closed, however the other side ends.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 
 from skugga.api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
 from skugga.api.seed.storage import store_at
-from skugga.terrain.compiling.ahead import compile_ahead
-from skugga.terrain.compiling.hooks import compiled_by
+from skugga.terrain.compiling.ahead_of_time import compile_ahead
+from skugga.terrain.compiling.hooks import missing_loop_compiler
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
-from skugga.terrain.gl.egl_devices import take_turn
+from skugga.terrain.gl.egl_devices import set_process_number
 from skugga.terrain.level.gdal_guard import forbid_code
 
 if TYPE_CHECKING:
@@ -32,25 +32,23 @@ if TYPE_CHECKING:
     from skugga.api.seed.run_spec import RunSpec
 
 START_LIMIT_S = 600.0
-"""After so long a process counts as hung that has been told which run to draw for, and is not ready: where nobody has compiled its
-loops yet that takes minutes.
-"""
+"""Timeout of a process's readiness for a run. Compiling missing loops takes minutes."""
 
 DRAW_TASKS = "import sys; from skugga.api.seed.render_process import draw_tasks; draw_tasks(*map(int, sys.argv[1:]))"
 
-DIED = "its render process ended in the middle of it"
+DIED = "its render process ended while drawing it"
 
 GONE_S = 10.0
-"""How long it is waited for a killed process. One that waits for a disk that does not answer ends when that does."""
+"""Timeout of a killed process's exit. A process that waits for an unresponsive disk ends when the disk responds."""
 
 log = logging.getLogger("skugga.worker")
 
 
 class RenderProcess:
-    """A child that draws tasks, one at a time. It warms up, and waits to ``begin`` a run. One thread asks it, and ends it.
+    """A child process that draws one task at a time. It warms up, then waits for ``begin``. For use from one thread.
 
-    What it is told it has to answer within a time, ``start_limit_s`` or that of a task: then it counts as hung. ``number`` is its
-    own among those beside it.
+    Every request has a timeout, ``start_limit_s`` or that of a task; after it the process counts as hung. ``number``
+    distinguishes the processes of a machine.
     """
 
     def __init__(self, environment: Mapping[str, str], start_limit_s: float = START_LIMIT_S, number: int = 0) -> None:
@@ -67,12 +65,12 @@ class RenderProcess:
         self._wait_for(None)
 
     def begin(self, spec: str, shards: str) -> None:
-        """Let it draw for a run (``RunSpec`` as JSON); ``hear`` tells when it is ready."""
+        """Prepare the process for a run (``RunSpec`` as JSON). ``hear`` reports readiness."""
         self._wait_for(self._start_limit_s)
         try:
             self.connection.send(Begin(spec, shards))
         except OSError:
-            pass  # it has ended: that is heard of
+            pass  # it has ended: ``hear`` reports that
 
     @property
     def pid(self) -> int:
@@ -81,12 +79,14 @@ class RenderProcess:
 
     @property
     def left_s(self) -> float | None:
-        """For how many seconds more it may be waited for: 0 where it counts as hung; ``None`` where it has nothing to answer."""
+        """Seconds until the timeout, 0 if the process hangs; ``None`` without a pending request."""
         return None if self._until is None else max(self._until - clock.monotonic(), 0.0)
 
     def hear(self) -> Drawn | NotDrawn | Begun:
-        """What it has to say; waits for it. Raises ``GraphicsError`` where it cannot draw the run's tasks, and ``EOFError`` where
-        it has ended or hangs, with what is told of its task.
+        """Wait for the next message and return it.
+
+        Raises ``GraphicsError`` if the process cannot draw the run's tasks, and ``EOFError`` with the reason if it has ended or
+        hangs.
         """
         try:
             hangs = not self.connection.poll(self.left_s)
@@ -94,7 +94,7 @@ class RenderProcess:
         except (EOFError, OSError):
             raise EOFError(DIED) from None
         if hangs:
-            raise EOFError(f"its render process gave no answer within {self._limit_s:g} s")
+            raise EOFError(f"its render process did not answer within {self._limit_s:g} s")
         if isinstance(said, NotBegun):
             raise GraphicsError(said.error)
         if isinstance(said, Begun):
@@ -105,7 +105,7 @@ class RenderProcess:
         return said
 
     def draw(self, task: Task) -> None:
-        """Begin a task; ``hear`` tells of it. A process that has ended is heard of there, too."""
+        """Start a task. ``hear`` reports its outcome, also if the process has ended."""
         self.task = task
         self._wait_for(task.limit_s)
         try:
@@ -114,7 +114,7 @@ class RenderProcess:
             pass
 
     def end(self) -> None:
-        """End it at once: it holds nothing that would be lost."""
+        """Kill the process. No state is lost."""
         self._process.kill()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(GONE_S)
@@ -125,21 +125,21 @@ class RenderProcess:
 
 
 def threads_of_one(threads: int) -> dict[str, str]:
-    """The environment of a process that has so many threads: of a software rasteriser, and of compiled loops."""
+    """Return the environment that limits a process's threads, of a software rasteriser and of compiled loops."""
     return {"LP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
 
 
 def draw_tasks(descriptor: int, number: int = 0) -> None:
-    """What a child runs; of several OpenGL devices it takes that whose turn its number is."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the one that started it
+    """Run a child process. Its ``number`` selects one of several OpenGL devices in turn."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the parent
     forbid_code()
-    take_turn(number)
-    with compiled_by(lambda products: compile_ahead(products, usable_cores())):
+    set_process_number(number)
+    with missing_loop_compiler(lambda products: compile_ahead(products, usable_cores())):
         _draw_until_closed(Connection(descriptor))
 
 
 def _draw_until_closed(connection: Connection) -> None:
-    from skugga.api.seed.drawing import Drawer  # what draws: here alone, and while nobody waits yet
+    from skugga.api.seed.drawing import Drawer  # imports of drawing code: only in this process, before a run begins
     from skugga.api.seed.run_spec import RunSpec
     from skugga.api.workers.warm_up import warm_up
 
@@ -162,22 +162,22 @@ def _draw_until_closed(connection: Connection) -> None:
 
 
 def check_renderer(renderer: str, spec: RunSpec) -> None:
-    """Raise ``GraphicsError`` where what draws is not what a run was planned for."""
+    """Raise ``GraphicsError`` if the renderer differs from that of the run's plans."""
     if renderer != spec.renderer:
-        raise GraphicsError(f"the run was planned for the renderer '{spec.renderer}'; this worker draws with '{renderer}'")
+        raise GraphicsError(f"the run was planned for the renderer '{spec.renderer}', but this worker draws with '{renderer}'")
 
 
 def draw(drawer: Drawer, task: Task) -> Drawn | NotDrawn:
-    """A task drawn, or why not."""
+    """Draw a task, and return its result or the reason of its failure."""
     try:
         return drawer.draw(task)
     except NoOpenGLError as error:
         return NotDrawn(task.id, str(error), "stopped")
     except GraphicsError:
-        raise EOFError from None  # the context is in doubt: this process ends, and another one tries
+        raise EOFError from None  # the context is unreliable: this process ends, and another one retries
     except SkuggaError as error:
         return NotDrawn(task.id, str(error), "failed")
-    except OSError as error:  # of the shard: the disk is full, or the folder is gone
+    except OSError as error:  # writing the shard failed: the disk is full, or the folder is gone
         return NotDrawn(task.id, f"{error.filename or 'shards'}: {error.strerror or error}", "stopped")
     except Exception as error:
         log.exception("a task failed unexpectedly")

@@ -1,4 +1,4 @@
-"""What a run of ``skugga seed`` is asked, as workers read it: everything that a task's number, place and sun leave open."""
+"""The specification of a run of ``skugga seed`` for workers: everything that a task's number, block and sun leave open."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 
 MATRIX_SET = "WebMercatorQuad"
-"""The tile matrix set of pyramids: archives of tiles know no other."""
+"""The tile matrix set of pyramids, the only one that PMTiles archives support."""
 
 
 class PlannedZoom(BaseModel):
-    """The plan of all tiles of a zoom under a sun: the number of the sun, and the plan as JSON."""
+    """The plan, as JSON, of all tiles of a zoom under the sun with this number."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -32,10 +32,10 @@ class PlannedZoom(BaseModel):
 
 
 class RunSpec(BaseModel):
-    """A run: a level, what is asked of it under suns (``None``: the level's own), a format, and the plans, made once.
+    """A run: level, product, suns (``None``: the level's own), format, and plans, made once.
 
-    ``renderer`` is what the plans were made for: a worker that draws with another one is refused. ``ground`` is the version of
-    the level's files.
+    ``renderer`` is the renderer of the plans; workers with another one are refused. ``ground`` is the version of the level's
+    files.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -50,11 +50,11 @@ class RunSpec(BaseModel):
 
     @property
     def layer(self) -> str:
-        """The product by its name."""
+        """Name of the product."""
         return self.asked.product
 
     def request(self, sun: int) -> ProductRequest:
-        """The request that a service has the same tiles for."""
+        """Return the request that gives the same tiles in a service."""
         return self.asked.under(self.suns[sun])
 
     @cached_property

@@ -1,4 +1,4 @@
-"""A run's tasks drawn, by whatever draws them: the heaviest first, each noted as soon as it is done."""
+"""Execution of a run's tasks by any ``Runner``: the heaviest first. Each task is recorded when it is done."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from skugga.api.seed.task_table import TaskTable
 from skugga.terrain.errors import RenderError
 
 MOST_DEATHS = 3
-"""How often a task is begun of which workers die."""
+"""Maximum number of starts of a task whose workers die."""
 
 LIMIT_TIMES = 100.0
-"""After so many times as long as a task is expected to take, or ``LEAST_LIMIT_S`` if that is more, its process counts as hung."""
+"""Timeout of a task relative to its expected duration; ``LEAST_LIMIT_S`` is the minimum timeout."""
 
 FILES_EVERY_S = 0.5
-"""How often it is looked whether the level's files have changed, where there are many of them; ..."""
+"""Interval between checks for changes of the level's files, if the level has more than ``FEW_FILES``."""
 
 FEW_FILES = 100
-"""... where there are no more, after every task."""
+"""Up to this number, files are checked after every task."""
 
 HEARD_EVERY_S = 1.0
 
 LONGEST_STRETCH, STRETCHES_LEFT = 16, 4
-"""Tasks that a lane is given at once, at most; and how many such stretches for each lane there are in what is left, at least."""
+"""Upper bound of the tasks assigned to a lane at once, and lower bound of such stretches per lane in the remaining tasks."""
 
 
 @dataclass(frozen=True)
 class TaskEnd:
-    """A task that is done, or has failed (``outcome``), and how many of those of the run are."""
+    """The end of a task with its ``outcome``, and the run's progress: tasks done and in total."""
 
     task: Task
     outcome: Drawn | NotDrawn
@@ -42,20 +42,21 @@ class TaskEnd:
 
 
 def shard_name(key: str) -> str:
-    """The name of a key's shard."""
+    """Return the name of a key's shard."""
     return f"{key[:2]}/{key}.tiles"
 
 
 def task_of(table: TaskTable, run: PlannedRun, number: int, least_limit_s: float) -> Task:
-    """A task as workers are told it."""
+    """Return a task in the form sent to workers."""
     sun, zoom, x, y, key, expected_s = table.place(number)
     return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key), max(least_limit_s, LIMIT_TIMES * expected_s))
 
 
 class WaitingTasks:
-    """Tasks in the order in which they are to be begun, handed out to lanes: a lane gets stretches of neighbours, for a worker that
-    draws a block beside the one before has most of the ground there already. Where there is nothing else, it gets what another
-    lane would have drawn last.
+    """The queue of tasks, distributed to lanes in stretches of neighbours.
+
+    A worker that draws neighbouring blocks already has most of their ground. A lane without waiting tasks steals the last task
+    of another lane.
     """
 
     def __init__(self, tasks: Sequence[int]) -> None:
@@ -66,16 +67,16 @@ class WaitingTasks:
         return len(self._left) + sum(map(len, self._lanes.values()))
 
     def take(self, lane: int) -> int:
-        """The next task of a lane. Raises ``IndexError`` where none waits."""
+        """Return the next task of a lane. Raises ``IndexError`` if none waits."""
         own = self._lanes.setdefault(lane, deque())
         if not own and self._left:
-            # Shorter ones towards the end: the heaviest are to be begun first, whoever is free.
+            # Shorter stretches towards the end, so that all lanes share the remaining heavy tasks.
             count = min(max(len(self._left) // (STRETCHES_LEFT * len(self._lanes)), 1), LONGEST_STRETCH)
             own.extend(self._left.popleft() for _ in range(count))
         return own.popleft() if own else max(self._lanes.values(), key=len).pop()
 
     def put_back(self, task: int) -> None:
-        """Let a task wait again, after all others."""
+        """Queue a task again, behind all others."""
         self._left.append(task)
 
 
@@ -86,11 +87,13 @@ def run_tasks(
     on_progress: Callable[[TaskEnd], None],
     least_limit_s: float = LEAST_LIMIT_S,
 ) -> None:
-    """Draw what waits. Tasks that fail are noted, and the others go on. A process that has drawn a task for ``least_limit_s``, or
-    for ``LIMIT_TIMES`` as long as expected if that is more, counts as dead.
+    """Draw all waiting tasks. Failed tasks are recorded, and the others continue.
 
-    Raises ``RenderError`` where the level changes meanwhile, where no shard can be written, and where nothing can be drawn: what is
-    done by then stays done.
+    A process counts as dead after drawing a task for ``least_limit_s``, or ``LIMIT_TIMES`` its expected duration if that is
+    longer.
+
+    Raises ``RenderError`` if the level changes meanwhile, if no shard can be written, or if nothing can be drawn. Finished
+    tasks stay done.
     """
     waiting = WaitingTasks(table.waiting())
     running: dict[int, Task] = {}
@@ -105,7 +108,7 @@ def run_tasks(
         for outcome in runner.wait(HEARD_EVERY_S):
             ended = running.pop(outcome.id, None)
             if ended is None:
-                continue  # it was begun twice, and is done
+                continue  # started twice, and done already
             if isinstance(outcome, NotDrawn):
                 if outcome.how == "stopped":
                     _note(table, run, unchecked)
@@ -124,10 +127,9 @@ def run_tasks(
 
 
 def _note(table: TaskTable, run: PlannedRun, drawn: list[Drawn]) -> None:
-    """Note what was drawn of a level that is still what it was."""
+    """Record drawn tasks of an unchanged level. Raises ``RenderError`` if the level has changed."""
     if not run.unchanged:
         raise RenderError(
-            f"{run.loaded.path}: the level, or a file that it is made of, has changed during the run; "
-            f"what was drawn before that is kept, the same command goes on"
+            f"{run.loaded.path}: the level, or one of its files, has changed during the run. Run the same command again to resume."
         )
     table.finish(drawn)

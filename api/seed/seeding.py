@@ -1,4 +1,4 @@
-"""A whole run: planned, drawn, published. What ``skugga seed`` does, whatever it shows of it."""
+"""A whole run of ``skugga seed``: plan, draw and publish, without any output to the terminal."""
 
 from __future__ import annotations
 
@@ -15,19 +15,27 @@ from skugga.api.seed.publishing import publish
 from skugga.api.seed.running import TaskEnd, run_tasks, shard_name
 from skugga.api.seed.storage import ShardStore, check_writable
 from skugga.api.seed.task_table import LOST, TaskTable
+from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.errors import InputError, RenderError
-from skugga.terrain.whole_files import write_whole
 
 TIMES_PUBLISHED = 5
-"""How often broken shards are drawn anew before the run gives up."""
+"""Maximum number of attempts to publish, with broken shards drawn again in between."""
 
 FAILED_LIST = "failed.txt"
 
 
 @dataclass(frozen=True)
 class Seeded:
-    """What a run did: tasks drawn now, the outputs that it wrote, and how long it drew (starting its workers included) and wrote,
-    seconds.
+    """The result of a run.
+
+    Attributes
+    ----------
+    drawn : int
+        Tasks drawn by this run.
+    written : list of Path
+        Written outputs.
+    drawing_s, publishing_s : float
+        Duration of drawing, including the start of workers, and of writing, in seconds.
     """
 
     drawn: int
@@ -37,7 +45,7 @@ class Seeded:
 
 
 def look_for_lost_shards(table: TaskTable, store: ShardStore) -> None:
-    """Let tasks wait again whose shards are not there any more."""
+    """Queue the tasks again whose shards are missing."""
     there = store.names()
     table.retry([number for number, key in table.with_shards() if shard_name(key) not in there], LOST)
 
@@ -54,16 +62,19 @@ def draw_and_publish(
     retry_failed: bool = False,
     least_limit_s: float = LEAST_LIMIT_S,
 ) -> Seeded:
-    """Draw all tasks that wait, and write the outputs where none has failed. ``least_limit_s`` is that of ``run_tasks``.
+    """Draw all waiting tasks, and write the outputs if none failed. ``least_limit_s`` is that of ``run_tasks``.
 
-    Raises ``InputError`` where more than ``most_tasks`` would run, ``RenderError`` where some have failed, and as ``run_tasks``.
+    Raises ``InputError`` if more than ``most_tasks`` would run, ``RenderError`` if tasks failed, and the errors of
+    ``run_tasks``.
     """
     look_for_lost_shards(table, store)
     if retry_failed:
         table.retry(table.failed())
     waiting = len(table.waiting())
     if most_tasks is not None and waiting > most_tasks:
-        raise InputError("--max-tasks", most_tasks, f"{waiting} or more, as many as would run (--dry-run says why)")
+        raise InputError.over_limit(
+            "--max-tasks", f"{waiting} tasks", str(most_tasks), "Raise the limit, or use --dry-run to list the reasons"
+        )
     if waiting:
         check_writable(store, shards)
     drawn, drawing_s = 0, 0.0
@@ -79,11 +90,11 @@ def draw_and_publish(
             continue
         forget_shards(table, store)
         return Seeded(drawn, written, drawing_s, clock.perf_counter() - drawn_at)
-    raise RenderError(f"{shards}: shards are lost or broken as soon as they are written")
+    raise RenderError(f"{shards}: shards are missing or corrupt right after they are written. Check the store.")
 
 
 def forget_shards(table: TaskTable, store: ShardStore) -> None:
-    """Delete shards of keys that no task has any more."""
+    """Delete shards whose keys belong to no task."""
     store.delete(store.names() - {shard_name(key) for key in table.keys()})
 
 
@@ -101,15 +112,15 @@ def _draw(
 
 
 def _tell_failed(table: TaskTable) -> None:
-    """Write the list of failed tasks. Raises ``RenderError`` if there are any."""
+    """Write the list of failed tasks. Raises ``RenderError`` if any failed."""
     failed, path = table.failed(), table.folder / FAILED_LIST
     if not failed:
         path.unlink(missing_ok=True)
         return
     lines = [f"zoom {each.zoom} block {each.x},{each.y} {each.sun}: {each.error}".replace("\n", " ") for each in failed.values()]
-    write_whole(path, "\n".join(lines) + "\n")
+    write_atomically(path, "\n".join(lines) + "\n")
     count = table.counts()
     raise RenderError(
-        f"{len(failed)} of {sum(count.values())} tasks failed, and nothing was published: {path} lists them, --retry-failed tries "
-        f"them again; the first: {lines[0]}"
+        f"{len(failed)} of {sum(count.values())} tasks failed, so nothing was published. See {path}, or use --retry-failed to "
+        f"run them again. First failure: {lines[0]}"
     )

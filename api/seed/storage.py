@@ -1,4 +1,4 @@
-"""Where shards lie: a folder, or any address that ``fsspec`` knows, as an object store's. Written whole or not at all."""
+"""Stores of shards: a folder, or any address that ``fsspec`` supports, such as an object store. Writes are atomic."""
 
 from __future__ import annotations
 
@@ -9,34 +9,35 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-from skugga.terrain.errors import InputError, RenderError
+from skugga.terrain.errors import InputError, Problem, RenderError
 
 
 class ShardStore(Protocol):
-    """Bytes by name; names may have folders in them."""
+    """Bytes by name. Names may contain folders."""
 
     def write(self, name: str, content: bytes) -> None:
-        """Put bytes under a name, in the place of others. Raises ``OSError``."""
+        """Write bytes under a name, replacing others. Raises ``OSError``."""
 
     def read(self, name: str) -> bytes:
-        """The bytes under a name. Raises ``FileNotFoundError`` and other ``OSError``."""
+        """Return the bytes under a name. Raises ``FileNotFoundError`` and other ``OSError``."""
 
     def names(self) -> set[str]:
-        """All names."""
+        """Return all names."""
 
     def delete(self, names: Iterable[str]) -> None:
-        """Delete what is there of some names."""
+        """Delete the names that exist."""
 
 
 class FolderStore:
-    """A folder of this machine, or of one that all workers see."""
+    """A folder of this machine, or one shared by all workers."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def write(self, name: str, content: bytes) -> None:
-        """A file beside its place, moved there: a worker that dies in between leaves what was there. It is not waited until it is
-        on the disk: whoever reads a shard knows its digests.
+        """Write a temporary file and rename it, so that a worker's death leaves the old file intact.
+
+        The write is not synced to disk, since readers check digests.
         """
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -52,11 +53,11 @@ class FolderStore:
             raise
 
     def read(self, name: str) -> bytes:
-        """As the protocol says."""
+        """Implement ``ShardStore.read``."""
         return (self._folder / name).read_bytes()
 
     def names(self) -> set[str]:
-        """As the protocol says; what writers left that died is deleted."""
+        """Implement ``ShardStore.names``, and delete temporary files of dead writers."""
         found = set()
         for folder, _, files in os.walk(self._folder):
             for file in files:
@@ -69,37 +70,41 @@ class FolderStore:
         return found
 
     def delete(self, names: Iterable[str]) -> None:
-        """As the protocol says."""
+        """Implement ``ShardStore.delete``."""
         for name in names:
             with suppress(FileNotFoundError):
                 (self._folder / name).unlink()
 
 
 class RemoteStore:
-    """A folder at an address of ``fsspec``, as ``s3://bucket/shards``. An object appears whole, or does not."""
+    """A folder at an address of ``fsspec``, such as ``s3://bucket/shards``. Object stores write objects atomically."""
 
     def __init__(self, address: str) -> None:
         try:
             from fsspec.core import url_to_fs
         except ImportError:
-            raise InputError("--shards", address, "a folder; or pip install 'skugga[cluster]', for addresses") from None
+            raise InputError(
+                "--shards",
+                Problem(f"the address {address} needs the package fsspec"),
+                "Run pip install 'skugga[cluster]', or use a folder",
+            ) from None
         try:
             system, root = url_to_fs(address)
         except (ImportError, ValueError) as error:
-            raise InputError("--shards", address, f"a folder, or an address that fsspec knows ({error})") from None
+            raise InputError("--shards", address, f"a folder, or an address that fsspec supports ({error})") from None
         self._system: Any = system
         self._root = str(root).rstrip("/")
 
     def write(self, name: str, content: bytes) -> None:
-        """As the protocol says."""
+        """Implement ``ShardStore.write``."""
         self._system.pipe_file(f"{self._root}/{name}", content)
 
     def read(self, name: str) -> bytes:
-        """As the protocol says."""
+        """Implement ``ShardStore.read``."""
         return bytes(self._system.cat_file(f"{self._root}/{name}"))
 
     def names(self) -> set[str]:
-        """As the protocol says."""
+        """Implement ``ShardStore.names``."""
         self._system.invalidate_cache()
         try:
             found = self._system.find(self._root)
@@ -108,7 +113,7 @@ class RemoteStore:
         return {path.removeprefix(f"{self._root}/") for path in found}
 
     def delete(self, names: Iterable[str]) -> None:
-        """As the protocol says."""
+        """Implement ``ShardStore.delete``."""
         paths = [f"{self._root}/{name}" for name in names]
         if paths:
             with suppress(FileNotFoundError):
@@ -116,21 +121,21 @@ class RemoteStore:
 
 
 def store_at(place: str) -> ShardStore:
-    """The store at a folder or an address. Raises ``InputError`` for an address that nothing here can reach."""
+    """Return the store at a folder or an address. Raises ``InputError`` for an unsupported address."""
     return RemoteStore(place) if "://" in place else FolderStore(Path(place))
 
 
 def check_writable(store: ShardStore, place: str) -> None:
-    """Write something and read it again. Raises ``OSError`` that names the place, and ``RenderError``."""
+    """Write a test file and read it again. Raises ``RenderError``, and ``OSError`` that names the place."""
     name, content = f"check-{secrets.token_hex(4)}", b"skugga"
     try:
         store.write(name, content)
         if store.read(name) != content:
-            raise RenderError(f"{place}: what was written there is not what is read")
+            raise RenderError(f"{place}: a test file read back differs from what was written. Use another store.")
         store.delete([name])
     except OSError as error:
         raise OSError(error.errno or 5, error.strerror or str(error), place) from None
     except RenderError:
         raise
-    except Exception as error:  # an object store's own
-        raise RenderError(f"{place}: shards cannot be written there: {type(error).__name__}: {error}") from None
+    except Exception as error:  # an error of an object store
+        raise RenderError(f"{place}: shards cannot be written there ({type(error).__name__}: {error})") from None

@@ -1,4 +1,4 @@
-"""The task table of a run: one SQLite file, that says what is to be done, why, and what has been done."""
+"""The task table of a run: an SQLite file with the tasks to do, the reasons for them, and the finished tasks."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from skugga.api.seed.messages import Drawn
-from skugga.terrain.errors import InputError, RenderError
-from skugga.terrain.whole_files import disk_error
+from skugga.terrain.atomic_files import disk_error
+from skugga.terrain.errors import InputError, Problem, RenderError
 
 FORMAT = 1
-"""Of the table: one that is of another is refused."""
+"""Version of the table's format. Other versions are refused."""
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value BLOB) WITHOUT ROWID;
@@ -41,8 +41,22 @@ CREATE INDEX IF NOT EXISTS in_order ON tasks (sun, wanted, first_tile);
 
 
 class PlannedTask(NamedTuple):
-    """A task as planned: its sun by name, its block, the first tile id of that, what its tiles hang on (``KeyParts``), how much of
-    it shows data, and how long it is expected to take.
+    """A task as planned.
+
+    Attributes
+    ----------
+    sun : str
+        Name of the sun.
+    zoom, x, y : int
+        The block.
+    first_tile : int
+        Smallest tile id of the block.
+    parts : KeyParts
+        Digests of the inputs of its tiles.
+    share : float
+        Share of the block that shows data.
+    expected_s : float
+        Expected duration in seconds.
     """
 
     sun: str
@@ -56,7 +70,7 @@ class PlannedTask(NamedTuple):
 
 
 class KeyParts(NamedTuple):
-    """Digests of what a task's tiles hang on besides its place and sun, each named as the reason to draw it anew."""
+    """Digests of the inputs of a task's tiles besides block and sun. Each field names the reason to draw the task again."""
 
     renderer: str
     settings: str
@@ -66,18 +80,18 @@ class KeyParts(NamedTuple):
 
 
 REASONS = {
-    "renderer": "the renderer is another one", "settings": "the level or what is asked has changed",
-    "plan": "the plan is another one", "range": "the level's lowest or highest ground has changed",
-    "ground": "ground that they hang on has changed",
+    "renderer": "the renderer has changed", "settings": "the level or the request has changed",
+    "plan": "the plan has changed", "range": "the level's lowest or highest ground has changed",
+    "ground": "ground that affects the tiles has changed",
 }  # fmt: skip
-"""Why tasks that were done are done again, by the part of their key that has changed."""
+"""Reasons to draw finished tasks again, by the changed part of their key."""
 
-NEW, LOST = "not drawn yet", "the shard is lost or broken"
+NEW, LOST = "not drawn yet", "the shard is missing or corrupt"
 
 
 @dataclass(frozen=True)
 class FailedTask:
-    """A task that failed, and its error."""
+    """A failed task with its error."""
 
     zoom: int
     x: int
@@ -87,8 +101,9 @@ class FailedTask:
 
 
 class TaskTable:
-    """The table of a folder, for one process at a time. To be closed. Raises ``InputError`` where another run has it, or where it
-    is none of ours, and ``OSError``.
+    """The task table of a folder, for one process at a time. It must be closed.
+
+    Raises ``InputError`` if another run uses it or it is not a table of this version, and ``OSError``.
     """
 
     def __init__(self, path: Path) -> None:
@@ -104,7 +119,9 @@ class TaskTable:
             self._db.create_function("why_changed", 2, _why_changed, deterministic=True)
             found = self.get("format")
             if found is not None and found != str(FORMAT).encode():
-                raise InputError("--work", str(path), "a table that this version of Skugga made, or none")
+                raise InputError(
+                    "--work", Problem(f"{path} was made by another version of Skugga"), "Delete the folder to start again"
+                )
             self.put(format=str(FORMAT).encode())
         except BaseException:
             self._lock.close()
@@ -112,11 +129,11 @@ class TaskTable:
 
     @property
     def folder(self) -> Path:
-        """The folder that it lies in."""
+        """The folder of the table."""
         return self._path.parent
 
     def close(self) -> None:
-        """Close the file, and leave it to others."""
+        """Close the file and release the lock."""
         self._db.close()
         self._lock.close()
 
@@ -127,38 +144,38 @@ class TaskTable:
         self.close()
 
     def get(self, name: str) -> bytes | None:
-        """A value that was put."""
+        """Return a stored value by name; ``None`` without one."""
         row = self._db.execute("SELECT value FROM about WHERE name = ?", (name,)).fetchone()
         return None if row is None else bytes(row[0])
 
     def put(self, **values: bytes) -> None:
-        """Put values by name."""
+        """Store values by name."""
         with self._whole():
             self._db.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", values.items())
 
     def file_digest(self, path: str, stamp: str) -> str | None:
-        """The digest that a file had when it had this stamp."""
+        """Return the stored digest of a file with this stamp; ``None`` without one."""
         row = self._db.execute("SELECT digest FROM files WHERE path = ? AND stamp = ?", (path, stamp)).fetchone()
         return None if row is None else str(row[0])
 
     def put_file(self, path: str, stamp: str, digest: str) -> None:
-        """Keep a file's digest."""
+        """Store a file's digest."""
         with self._whole():
             self._db.execute("INSERT OR REPLACE INTO files VALUES (?, ?, ?)", (path, stamp, digest))
 
     def plan(self, sun: str, zoom: int, asked: str) -> str | None:
-        """The plan of a zoom under a sun that was made for what is asked."""
+        """Return the stored plan of a zoom under a sun for a request; ``None`` without one."""
         row = self._db.execute("SELECT plan FROM plans WHERE sun = ? AND zoom = ? AND asked = ?", (sun, zoom, asked)).fetchone()
         return None if row is None else str(row[0])
 
     def put_plan(self, sun: str, zoom: int, asked: str, plan: str) -> None:
-        """Keep a plan."""
+        """Store a plan."""
         with self._whole():
             self._db.execute("INSERT OR REPLACE INTO plans VALUES (?, ?, ?, ?)", (sun, zoom, asked, plan))
 
     def want(self, tasks: Iterable[PlannedTask]) -> None:
-        """Let these be the tasks of the run: those that were done of the same key stay done, failed ones failed; others wait, each
-        with its reason.
+        """Set the tasks of the run. Tasks with an unchanged key keep their state, done or failed; all others wait, with a
+        reason.
         """
         with self._whole():
             self._db.execute("UPDATE tasks SET wanted = 0")
@@ -183,17 +200,17 @@ class TaskTable:
             yield task.sun, task.zoom, task.x, task.y, task.first_tile, NEW, key_of(task), parts, task.share, task.expected_s
 
     def waiting(self) -> list[int]:
-        """The tasks that are to be done, the heaviest first."""
+        """Return the tasks to do, the heaviest first."""
         rows = self._db.execute("SELECT id FROM tasks WHERE wanted AND state = 'waiting' ORDER BY expected_s DESC, first_tile, sun")
         return [row[0] for row in rows]
 
     def place(self, task: int) -> tuple[str, int, int, int, str, float]:
-        """Sun, zoom, block x and y, and key of a task, and the seconds that it is expected to take."""
+        """Return sun, zoom, block x and y, key and expected duration in seconds of a task."""
         row = self._db.execute("SELECT sun, zoom, x, y, key, expected_s FROM tasks WHERE id = ?", (task,)).fetchone()
         return tuple(row)
 
     def finish(self, drawn: Sequence[Drawn]) -> None:
-        """Note tasks that were drawn."""
+        """Record drawn tasks."""
         with self._whole():
             self._db.executemany(
                 "UPDATE tasks SET state = 'done', seconds = ?, encode_s = ?, peak_bytes = ?, bytes = ?, tiles = ?, error = NULL "
@@ -202,18 +219,18 @@ class TaskTable:
             )
 
     def fail(self, task: int, error: str) -> None:
-        """Note a task that failed."""
+        """Record a failed task."""
         with self._whole():
             self._db.execute("UPDATE tasks SET state = 'failed', error = ? WHERE id = ?", (error, task))
 
     def tried(self, task: int) -> int:
-        """Note that a worker died of a task; how often that has happened."""
+        """Record that a worker died while drawing a task, and return how often that has happened."""
         with self._whole():
             self._db.execute("UPDATE tasks SET tries = tries + 1 WHERE id = ?", (task,))
         return int(self._db.execute("SELECT tries FROM tasks WHERE id = ?", (task,)).fetchone()[0])
 
     def retry(self, tasks: Iterable[int], why: str | None = None) -> None:
-        """Let tasks be done again, for a reason or for that which they had."""
+        """Queue tasks again, with a new reason or their old one."""
         with self._whole():
             self._db.executemany(
                 "UPDATE tasks SET state = 'waiting', tries = 0, error = NULL, why = coalesce(?, why) WHERE id = ?",
@@ -221,49 +238,50 @@ class TaskTable:
             )
 
     def failed(self) -> dict[int, FailedTask]:
-        """The failed tasks by number."""
+        """Return the failed tasks by number."""
         rows = self._db.execute(
             "SELECT id, zoom, x, y, sun, error FROM tasks WHERE wanted AND state = 'failed' ORDER BY first_tile, sun"
         )
         return {row[0]: FailedTask(*row[1:]) for row in rows}
 
     def done(self, sun: str) -> list[tuple[int, str, bytes]]:
-        """Number, key and index of the tasks under a sun that are done, in the order of their tile ids."""
+        """Return number, key and index of the finished tasks under a sun, ordered by tile id."""
         rows = self._db.execute(
             "SELECT id, key, tiles FROM tasks WHERE sun = ? AND wanted AND state = 'done' ORDER BY first_tile", (sun,)
         )
         return [(row[0], row[1], bytes(row[2])) for row in rows]
 
     def published(self, output: str) -> dict[int, tuple[str, bytes]]:
-        """Of tasks whose tiles lie in a folder, by number: the key and the index of those."""
+        """Return key and index of the tasks whose tiles lie in a folder, by number."""
         rows = self._db.execute("SELECT task, key, tiles FROM published WHERE output = ?", (output,))
         return {row[0]: (row[1], bytes(row[2])) for row in rows}
 
     def note_published(self, output: str, task: int, key: str, tiles: bytes) -> None:
-        """Note that a task's tiles lie in a folder."""
+        """Record that a task's tiles lie in a folder."""
         with self._whole():
             self._db.execute("INSERT OR REPLACE INTO published VALUES (?, ?, ?, ?)", (output, task, key, tiles))
 
     def forget_published(self, output: str, task: int) -> None:
-        """Note that they do not any more."""
+        """Record that a task's tiles no longer lie in a folder."""
         with self._whole():
             self._db.execute("DELETE FROM published WHERE output = ? AND task = ?", (output, task))
 
     def keys(self) -> set[str]:
-        """The keys of all tasks, whether wanted or not."""
+        """Return the keys of all tasks, including those of earlier requests."""
         return {row[0] for row in self._db.execute("SELECT key FROM tasks")}
 
     def with_shards(self) -> list[tuple[int, str]]:
-        """Number and key of the wanted tasks that are done and have tiles."""
+        """Return number and key of the run's finished tasks that have tiles."""
         return self._db.execute("SELECT id, key FROM tasks WHERE wanted AND state = 'done' AND bytes > 0").fetchall()
 
     def counts(self) -> dict[str, int]:
-        """Wanted tasks by state."""
+        """Return the number of the run's tasks by state."""
         return dict(self._db.execute("SELECT state, count(*) FROM tasks WHERE wanted GROUP BY state").fetchall())
 
     def outlook(self) -> list[tuple[str, int, str, int, float, float]]:
-        """Of what waits: sun, zoom, reason, number of tasks, how many full ones they are worth, and the seconds that they are
-        expected to take.
+        """Return a summary of the waiting tasks by sun, zoom and reason.
+
+        Each row holds sun, zoom, reason, number of tasks, their equivalent in full tasks, and expected seconds.
         """
         return self._db.execute(
             "SELECT sun, zoom, why, count(*), sum(share), sum(expected_s) FROM tasks WHERE wanted AND state = 'waiting' "
@@ -271,7 +289,7 @@ class TaskTable:
         ).fetchall()
 
     def measured(self) -> dict[int, tuple[float, float]]:
-        """By zoom, of tasks that were done: seconds and bytes of one that is full of data."""
+        """Return seconds and bytes of a full task by zoom, measured on finished tasks."""
         rows = self._db.execute(
             "SELECT zoom, sum(seconds) / sum(share), sum(bytes) / sum(share) FROM tasks WHERE seconds IS NOT NULL GROUP BY zoom"
         )
@@ -279,7 +297,7 @@ class TaskTable:
 
     @contextmanager
     def _whole(self) -> Iterator[None]:
-        """All of a change, or nothing of it."""
+        """Run a transaction."""
         with _as_os_errors(self._path):
             self._db.execute("BEGIN IMMEDIATE")
             try:
@@ -292,7 +310,7 @@ class TaskTable:
 
 
 def key_of(task: PlannedTask) -> str:
-    """The key of a task: 32 hexadecimal digits. Tasks of the same key have the same tiles."""
+    """Return the key of a task, 32 hexadecimal digits. Tasks with equal keys have equal tiles."""
     said = (task.sun, task.zoom, task.x, task.y, *task.parts)
     return blake2b("\n".join(map(str, said)).encode(), digest_size=16).hexdigest()
 
@@ -303,15 +321,17 @@ def _why_changed(before: str, now: str) -> str:
 
 
 def _locked(path: Path) -> IO[str]:
-    """The lock of a table, for this process. Raises ``InputError`` where another one has it."""
+    """Acquire the lock of a table for this process. Raises ``InputError`` if another process holds it."""
     file = path.open("a+", encoding="ascii")
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         file.seek(0)
-        owner = file.read().strip() or "another process"
+        owner = file.read().strip() or "(unknown)"
         file.close()
-        raise InputError("--work", str(path.parent), f"a folder that no other run uses; process {owner} does") from None
+        raise InputError(
+            "--work", Problem(f"{path.parent} is in use by process {owner}"), "Wait until that run ends, or choose another folder"
+        ) from None
     file.seek(0)
     file.truncate()
     file.write(str(os.getpid()))
@@ -321,7 +341,7 @@ def _locked(path: Path) -> IO[str]:
 
 @contextmanager
 def _as_os_errors(path: Path) -> Iterator[None]:
-    """Let what SQLite says of a disk be one line that names the file."""
+    """Convert SQLite's disk errors to one-line errors that name the file."""
     try:
         yield
     except sqlite3.DatabaseError as error:
@@ -329,5 +349,7 @@ def _as_os_errors(path: Path) -> Iterator[None]:
         if name.startswith(("SQLITE_FULL", "SQLITE_IOERR")) and (refused := disk_error(path)) is not None:
             raise refused from None
         if name.startswith(("SQLITE_NOTADB", "SQLITE_CORRUPT")):
-            raise InputError("--work", str(path), "a table of tasks that is whole; delete the folder to begin anew") from None
+            raise InputError(
+                "--work", Problem(f"{path} is corrupt, or no table of tasks"), "Delete the folder to start again"
+            ) from None
         raise RenderError(f"{path}: {error}") from None

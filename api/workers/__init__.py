@@ -1,1 +1,1 @@
-"""Render processes: the pool before them, the jobs they are sent, and what a process does. No OpenGL outside of them."""
+"""Render processes: the pool that supervises them, the jobs they receive, and the code they run. Only they use OpenGL."""

@@ -1,4 +1,4 @@
-"""The loops that no request has needed yet, compiled in the background at the lowest priority once a service can draw."""
+"""Background compilation of the loops that no request has needed yet, at the lowest priority, once a service can draw."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from concurrent.futures import ThreadPoolExecutor
 
 from skugga.api.exhaustion import in_thread
 from skugga.api.workers.jobs import Preparing
-from skugga.terrain.compiling.ahead import PRODUCTS, Progress, compile_ahead
+from skugga.terrain.compiling.ahead_of_time import PRODUCTS, Progress, compile_ahead
 
 AGAIN_S = 60.0
-"""How long after a failure it is begun again at the earliest."""
+"""Minimum delay before a retry after a failure."""
 
 log = logging.getLogger("skugga")
 
 
 class BackgroundCompile:
-    """Compiles all missing loops once, in a process of its own; where that fails, again later. To be used from one event loop.
+    """Compiles all missing loops once, in a separate process, and retries after failures. For use from one event loop.
 
     Parameters
     ----------
     processes
-        Cores that it may take.
+        Number of cores to use.
     on_progress
-        Called in the event loop with what is compiled, and with ``None`` at the end.
+        Called in the event loop with the progress, and with ``None`` at the end.
     """
 
     def __init__(self, processes: int, on_progress: Callable[[Preparing | None], None]) -> None:
@@ -43,7 +43,7 @@ class BackgroundCompile:
         return self._task is not None and not self._task.done()
 
     def begin(self, missing_loops: int) -> None:
-        """Begin, where loops are missing and this has not been done before, nor has failed just now."""
+        """Start the compilation, unless no loops are missing, it is done already, or it failed less than ``AGAIN_S`` ago."""
         if self._closed or self.is_running or self._is_done or asyncio.get_running_loop().time() < self._not_before_s:
             return
         if missing_loops:
@@ -51,7 +51,7 @@ class BackgroundCompile:
             self._task = asyncio.create_task(self._run(asyncio.get_running_loop()))
 
     async def close(self) -> None:
-        """End it."""
+        """End the compilation."""
         self._closed = True
         if self._farm is not None:
             self._farm.kill()
@@ -66,7 +66,7 @@ class BackgroundCompile:
         try:
             await in_thread(self._thread, self._compile, report)
             self._is_done = True
-        except Exception as error:  # out of processes or memory: what is missing is compiled when it is called
+        except Exception as error:  # out of processes or memory: missing loops are compiled when they are called
             self._not_before_s = loop.time() + AGAIN_S
             log.warning("loops cannot be compiled in the background: %s", error)
         finally:

@@ -1,4 +1,4 @@
-"""Tiles of a computed block: where they lie in it, and their files."""
+"""Tiles of a computed block: their positions in it, and their files."""
 
 from __future__ import annotations
 
@@ -18,20 +18,23 @@ from skugga.terrain.scene import Scene
 BLOCK_TILES = BLOCK_PX // TILE_PX
 
 Place = tuple[int, int]
-"""Row and column of a tile in its block, among tiles of its size."""
+"""Row and column of a tile in its block, counted in tiles of its size."""
 
 
 def place_in_block(x: int, y: int, tiles: int) -> tuple[Place, Place]:
-    """Return the block (x, y) of a zoom that holds a tile of it, or ``tiles`` x ``tiles`` of them, and the place there."""
+    """Return the block (x, y) that holds tile (x, y) of a zoom, and the tile's position in the block.
+
+    The position counts pictures of ``tiles`` x ``tiles`` tiles.
+    """
     return (x // BLOCK_TILES, y // BLOCK_TILES), (y % BLOCK_TILES // tiles, x % BLOCK_TILES // tiles)
 
 
 def tiles_of_picture(
     picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat, tiles: int = 1
 ) -> dict[Place, bytes | None]:
-    """Return the files of all parts of ``tiles`` x ``tiles`` tiles of a drawn block.
+    """Return the files of a drawn block, one for each part of ``tiles`` x ``tiles`` tiles.
 
-    A part without a surface is ``None``, unless its format says where it lies.
+    A part without a surface is ``None``. In array formats every part has a file.
     """
     found: dict[Place, bytes | None] = {}
     for place, part_view, window in _tiles_of(view, tiles):
@@ -42,10 +45,10 @@ def tiles_of_picture(
 
 
 def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, view: MapView, format: MapFormat) -> bytes:
-    """Return the file of a product of a drawn part of a block."""
+    """Return a product's file of one part of a drawn block."""
     product = request.record
     if product.is_display and format not in ARRAY_FORMATS and picture.color is not None and picture.opaque.all():
-        array = picture.color  # no alpha channel is made that would be dropped again
+        array = picture.color  # avoids an alpha channel that encoding would drop
     else:
         array = product.compute(Part(scene, view, request.options, picture))
     return encode(colored(array, product, request.options, scene.world, format), product, format, view)
@@ -54,7 +57,7 @@ def tile_of_picture(picture: Picture, request: ProductRequest, scene: Scene, vie
 def tiles_of_array(
     array: np.ndarray, request: ProductRequest, world: World, view: MapView, format: MapFormat, tiles: int = 1
 ) -> dict[Place, bytes]:
-    """Return the files of all parts of ``tiles`` x ``tiles`` tiles of a block's array."""
+    """Return the files of a block's array, one for each part of ``tiles`` x ``tiles`` tiles."""
     shown = colored(array, request.record, request.options, world, format)
     return {
         place: encode(np.ascontiguousarray(shown[window]), request.record, format, part_view)
@@ -63,7 +66,7 @@ def tiles_of_array(
 
 
 def _tiles_of(view: MapView, tiles: int) -> Iterator[tuple[Place, MapView, tuple[slice, slice]]]:
-    """Yield the place, the view and the pixels of each part of a block."""
+    """Yield the position, the view and the pixel window of each part of a block."""
     side = tiles * TILE_PX
     for row in range(BLOCK_TILES // tiles):
         for col in range(BLOCK_TILES // tiles):
@@ -73,13 +76,13 @@ def _tiles_of(view: MapView, tiles: int) -> Iterator[tuple[Place, MapView, tuple
 
 @cached("process", 4 * MIB)
 def empty_tile(request: ProductRequest, format: MapFormat, tiles: int = 1, lowest_m: float = 0.0) -> bytes:
-    """Return a tile without data as a picture. A level's lowest ground says which height such a tile tells."""
+    """Return the file of a tile without data; ``lowest_m`` is the level's lowest ground, which height formats fill in."""
     return empty_file(request, (tiles * TILE_PX, tiles * TILE_PX), format, lowest_m)
 
 
 def empty_file(
     request: ProductRequest, shape: tuple[int, int], format: MapFormat, lowest_m: float, view: MapView | None = None
 ) -> bytes:
-    """Return a map of rows and columns without data as a file."""
+    """Return the file of a map of ``shape`` (rows, cols) without data."""
     empty = request.record.empty_array if format in ARRAY_FORMATS else request.record.empty_picture
     return encode(empty(*shape, lowest_m), request.record, format, view)

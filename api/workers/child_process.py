@@ -1,4 +1,4 @@
-"""A child process as an event loop sees it: started, waited for, and ended for good. All waiting is done in threads."""
+"""A child process for an event loop: start, wait, end. All blocking calls run in threads."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ log = logging.getLogger("skugga")
 
 
 class ChildProcess:
-    """A piped process and the thread that waits for it. ``start`` it, wait for it by ``in_new_thread``, then ``end`` it.
+    """A piped process and the thread that waits for it. Call ``start``, then ``in_new_thread`` to wait for it, then ``end``.
 
-    Threads go on where the waiting for them is given up: they end with the process. To be used from one event loop.
+    Cancelling a wait does not stop its thread; the thread ends with the process. For use from one event loop.
     """
 
     def __init__(self, piped: PipedProcess, threads: Executor) -> None:
@@ -35,12 +35,12 @@ class ChildProcess:
 
     @property
     def exitcode(self) -> int | None:
-        """The status that the process ended with; ``None`` while it runs."""
+        """Exit status of the process; ``None`` while it runs."""
         return self._piped.process.exitcode
 
     @property
     def sentinel(self) -> int:
-        """A descriptor that can be read as soon as the process ends."""
+        """A file descriptor that becomes readable when the process ends."""
         return self._piped.process.sentinel
 
     async def start(self) -> None:
@@ -48,26 +48,26 @@ class ChildProcess:
         await asyncio.shield(self.in_new_thread(self._piped.start))
 
     def in_new_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
-        """Run a function in a thread, one at a time. Raises ``ExhaustedError`` where there is no thread."""
+        """Run a function in a thread, one at a time. Raises ``ExhaustedError`` if no thread is available."""
         running = in_thread(self._threads, function)
         running.add_done_callback(lambda done: done.cancelled() or done.exception())
         self._in_thread = running
         return running
 
     async def gone(self) -> None:
-        """Wait until the process has ended, for ``JOIN_S`` at most."""
+        """Wait until the process has ended, for at most ``JOIN_S``."""
         await process_end(self._piped.process)
 
     async def end(self) -> None:
-        """End the process at once, and close its pipe. It holds nothing that would be lost."""
+        """Kill the process and close its pipe. No state is lost."""
         if self._in_thread is not None and self.pid is None:
-            await asyncio.wait({self._in_thread})  # it is just being started
+            await asyncio.wait({self._in_thread})  # the process is still starting
         if self.pid is not None:
             self._piped.process.kill()
             await self.gone()
         if self._in_thread is not None:
             done, _ = await asyncio.wait({self._in_thread}, timeout=JOIN_S)
-            if not done:  # a closed pipe's number could be another file's before it is read
-                log.error("process %s cannot be killed; its pipe stays open", self.pid)
+            if not done:  # the thread still reads: the number of a closed pipe could be reused for another file
+                log.error("process %s cannot be killed, so its pipe stays open", self.pid)
                 return
         self._piped.close()

@@ -1,4 +1,4 @@
-"""Films in render processes: looked at before they are drawn, then drawn a frame a job, by plans that go on from frame to frame."""
+"""Films in render processes: check a film before it is drawn, then draw one frame per job. Each plan continues the one before."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from skugga.terrain.scene import Scene
 
 
 def first_plan(job: FilmCheckJob, scene: Scene, basis: PlanBasis) -> tuple[Plan, FrameMoment]:
-    """The plan of a film's first frame, once all frames were found to have a view. Raises ``SkuggaError``."""
+    """Return the plan of a film's first frame, after checking that every frame has a view. Raises ``SkuggaError``."""
     moment = frame_moments(scene, job.film_request())[0]
     return _replanner(job, moment, scene, basis).plan(
         describe(moment.scene(scene), moment.view, job.film_request().view_name),
@@ -23,7 +23,7 @@ def first_plan(job: FilmCheckJob, scene: Scene, basis: PlanBasis) -> tuple[Plan,
 
 
 def film_picture(job: FrameJob, scene: Scene, basis: PlanBasis) -> FilmPicture:
-    """A frame of a film. Raises ``SkuggaError``."""
+    """Draw a frame of a film. Raises ``SkuggaError``."""
     moments = frame_moments(scene, job.film_request(), only=job.number)
     replanner = _replanner(job, moments[0], scene, basis, job.before)
     (frame,) = film_frames(scene, job.film_request(), moments, replanner)

@@ -1,5 +1,6 @@
-"""The calibration that a service's plans go by: found in the user's cache, measured while the service is idle where there is none,
-and taken up anew when its file changes.
+"""The device calibration of a service: loaded, or measured in idle time if missing.
+
+The file lies in the user's cache and is reloaded when it changes.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from skugga.api.workers.idle_work import IdleJob, IdleWork
-from skugga.selector.cost.device_profile import digest_of, load_profile, profile_path, save_profile
+from skugga.selector.cost.device_profile import load_profile, profile_digest, profile_path, save_profile
 
 if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 CHECK_EVERY_S = 2.0
-"""How often it is looked whether the calibration's file has changed."""
+"""Interval between checks of the calibration's file."""
 
 CalibrationState = Literal["calibrated", "waiting", "running", "paused", "failed", "off", "none"]
 
@@ -34,9 +35,20 @@ def measured_profile() -> DeviceProfile:
 
 
 class IdleCalibration:
-    """Keeps a service's calibration: ``device`` gives the one that plans go by, ``use`` lets them go by another one.
+    """Maintains the calibration of a service, and measures a missing one once, as idle work.
 
-    Where ``enabled``, a device without one is calibrated by ``measure``, once, as idle work.
+    Parameters
+    ----------
+    enabled
+        Whether a device without a calibration is calibrated.
+    idle
+        The queue of idle work.
+    device
+        Returns the calibration in use.
+    use
+        Sets the calibration to use.
+    measure
+        Calibrates the device.
     """
 
     def __init__(
@@ -54,7 +66,7 @@ class IdleCalibration:
 
     @property
     def state(self) -> CalibrationState:
-        """How it stands: ``none`` where there is no OpenGL device to calibrate."""
+        """The state of the calibration; ``none`` if there is no OpenGL device to calibrate."""
         if self._device() is not None:
             return "calibrated"
         if self._expected:
@@ -63,11 +75,11 @@ class IdleCalibration:
 
     @property
     def expected(self) -> bool:
-        """Whether the device is going to be calibrated, as far as is known: then plans change."""
+        """Whether a calibration is still to come, as far as is known; plans change with it."""
         return self._expected and self._device() is None
 
     def begin(self, renderer: str, version: str) -> None:
-        """It is known what render processes draw with; without a version, with nothing that could be calibrated."""
+        """Start with the renderer of the render processes. An empty ``version`` means that nothing can be calibrated."""
         if self._version:
             return
         self._renderer, self._version, self._expected = renderer, version, self._enabled and bool(version)
@@ -75,7 +87,7 @@ class IdleCalibration:
             self._watching = asyncio.create_task(self._watch())
 
     async def close(self) -> None:
-        """Look at the file no more."""
+        """Stop watching the file."""
         if self._watching is not None:
             self._watching.cancel()
             await asyncio.gather(self._watching, return_exceptions=True)
@@ -83,37 +95,37 @@ class IdleCalibration:
     def _want_one(self) -> None:
         if not self._enabled:
             log.info(
-                "%s is not calibrated, so fixed rules choose; skugga calibrate adds predictions "
+                "%s is not calibrated, so fixed rules choose. Run skugga calibrate to add predictions "
                 "(SKUGGA_CALIBRATE_WHEN_IDLE is false)", self._renderer,
             )  # fmt: skip
             return
         log.info(
-            "%s is not calibrated, so fixed rules choose until it is: it is measured, for a minute or two, while nothing is "
-            "being drawn", self._renderer,
+            "%s is not calibrated, so fixed rules choose until it is. The calibration takes a minute or two and runs while "
+            "nothing is drawn", self._renderer,
         )  # fmt: skip
         self._idle.add(IdleJob(self._measure, (), self._done, self._gave_up, lambda: self.expected))
 
     async def _done(self, profile: DeviceProfile) -> None:
         if (profile.renderer, profile.version) != (self._renderer, self._version):
-            self._gave_up(f"it is of another device, {profile.renderer}")
+            self._gave_up(f"the calibration is of another device, {profile.renderer}")
             return
         self._expected = False
         self._use(profile)
-        took = f"{self._renderer} was calibrated in {profile.took_s:.0f} s, and plans go by predictions from now on"
+        took = f"{self._renderer} was calibrated in {profile.took_s:.0f} s, and plans use predictions from now on"
         try:
             path = await asyncio.to_thread(save_profile, profile)
         except OSError as error:
             path = profile_path(self._renderer, self._version)
-            log.warning("%s, but until this service ends: %s cannot be written (%s)", took, path, error.strerror or error)
+            log.warning("%s, but only until this service ends: %s cannot be written (%s)", took, path, error.strerror or error)
         else:
-            log.info("%s; kept in %s", took, path)
+            log.info("%s; saved to %s", took, path)
 
     def _gave_up(self, reason: str) -> None:
         self._expected, self._failed = False, True
-        log.warning("%s could not be calibrated, so fixed rules go on choosing: %s", self._renderer, reason)
+        log.warning("%s could not be calibrated, so fixed rules still choose: %s", self._renderer, reason)
 
     async def _watch(self) -> None:
-        """Want a calibration where none is kept, and take up what ``skugga calibrate`` writes beside a service that runs."""
+        """Load the calibration, or request one, and reload the file whenever ``skugga calibrate`` writes it."""
         path = profile_path(self._renderer, self._version)
         seen = await self._read(path, None)
         if self._device() is None:
@@ -123,14 +135,14 @@ class IdleCalibration:
             seen = await self._read(path, seen)
 
     async def _read(self, path: Path, seen: ProfileStamp | None) -> ProfileStamp | None:
-        """Use what a file holds if it has changed since it was ``seen``; returns how it is seen now."""
+        """Load the file if its stamp differs from ``seen``, and return its current stamp."""
         stamp = await asyncio.to_thread(_stamp, path)
         if stamp is None or stamp == seen:
             return seen
         profile = await asyncio.to_thread(load_profile, self._renderer, self._version)
-        if profile is not None and digest_of(profile) != digest_of(self._device()):
+        if profile is not None and profile_digest(profile) != profile_digest(self._device()):
             self._use(profile)
-            log.info("the calibration of %s was read: plans go by it from now on", path)
+            log.info("the calibration %s was loaded, and plans use it from now on", path)
         return stamp
 
 

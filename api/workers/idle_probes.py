@@ -1,5 +1,6 @@
-"""Probes of the levels that a service draws maps of: found in the user's cache, made while the service is idle where there are
-none, and taken up where a command has made some beside it.
+"""Probes of the levels that a service draws maps of: loaded from the user's cache, or made in idle time if missing.
+
+Probes that a command writes meanwhile are loaded, too.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from skugga.api.workers.idle_work import IdleJob, IdleWork
 from skugga.api.workers.jobs import LevelKey
-from skugga.selector.kept_probes import load_probes, probes_folder, save_probes
 from skugga.selector.map_probes import MapClass, MapProbes
+from skugga.selector.probe_store import load_probes, probes_folder, save_probes
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 
@@ -21,13 +22,13 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 BUDGET_S = 10.0
-"""Time of a probe of one scale: nobody waits for it."""
+"""Time budget of a probe of one scale. No request waits for it."""
 
 READ_EVERY_S = 2.0
-"""How often it is looked whether there are others in the user's cache."""
+"""Interval between checks for new probes in the user's cache."""
 
 Probe = Callable[[LevelKey, int, "DeviceProfile"], MapProbes]
-"""Probes a level's maps under a class of suns by a device's calibration."""
+"""Signature of a function that probes a level's maps under a class of suns, with a device's calibration."""
 
 log = logging.getLogger("skugga")
 
@@ -44,10 +45,22 @@ def probed_level(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
 
 
 class IdleProbes:
-    """Keeps what was probed for levels: ``device`` gives the calibration that plans go by, ``probed`` what they go by of each
-    version of a level, and ``use`` lets them go by more.
+    """Maintains the probes of levels. Makes a missing probe once per version of a level and class of suns, as idle work.
 
-    Where ``enabled``, what maps lacked is made by ``probe``, as idle work: once for each version of a level and class of suns.
+    Parameters
+    ----------
+    enabled
+        Whether missing probes are made.
+    idle
+        The queue of idle work.
+    device
+        Returns the calibration in use.
+    probed
+        Returns the probes in use, by version of their level.
+    use
+        Adds probes to those in use.
+    probe
+        Makes a probe.
     """
 
     def __init__(
@@ -70,29 +83,29 @@ class IdleProbes:
 
     @property
     def waiting(self) -> int:
-        """How many probes are wanted and not made yet, each of a level under a class of suns."""
+        """Number of probes that are still to be made, each of a level under a class of suns."""
         return len(self._wanted)
 
     def begin(self, renderer: str, version: str) -> None:
-        """It is known what render processes draw with; without a version there is nothing to probe."""
+        """Start with the renderer of the render processes. An empty ``version`` means that nothing can be probed."""
         if self._folder is None and version:
             self._folder = probes_folder(renderer, version)
-            self._take_up(self._changed())  # before the first picture: its plan shall not change for what is there
+            self._take_up(self._changed())  # before the first picture, so that saved probes do not change its plan later
             self._watching = asyncio.create_task(self._watch())
 
     async def close(self) -> None:
-        """Look at the files no more."""
+        """Stop watching the files."""
         if self._watching is not None:
             self._watching.cancel()
             await asyncio.gather(self._watching, return_exceptions=True)
 
     def lacking(self, level: LevelKey, unprobed: MapClass) -> None:
-        """A map was planned without a probe of its class."""
+        """Request a probe for a map that was planned without one."""
         device, key = self._device(), (level.version, unprobed.sun)
         if not self._enabled or self._folder is None or device is None or key in self._wanted | self._failed:
             return
         if any(each.sun == unprobed.sun for each in MapProbes.model_validate_json(self._probed().get(level.version, "{}")).classes):
-            return  # of a scale that tiles do not have
+            return  # probed already: the map has a scale that tiles do not have
         self._wanted.add(key)
         name = f"{level.path.stem} under a sun about {unprobed.sun_altitude_deg:.0f} degrees high"
 
@@ -103,24 +116,25 @@ class IdleProbes:
         def failed(reason: str) -> None:
             self._failed.add(key)
             self._wanted.discard(key)
-            log.warning("maps of %s could not be probed, so their plans stay predictions: %s", name, reason)
+            log.warning("maps of %s could not be probed, so their plans rely on predictions alone: %s", name, reason)
 
         self._idle.add(IdleJob(self._probe, (level, unprobed.sun, device), done, failed))
 
     async def _done(self, level: LevelKey, device: DeviceProfile, found: MapProbes, name: str) -> None:
         before = MapProbes.model_validate_json(self._probed().get(level.version, "{}"))
-        self._use({level.version: before.with_(found).model_dump_json()})
-        text = f"maps of {name} were probed at {len(found.classes)} scales, and their plans go by it from now on"
+        self._use({level.version: before.merged_with(found).model_dump_json()})
+        text = f"maps of {name} were probed at {len(found.classes)} scales, and their plans use the probes from now on"
         try:
             path = await asyncio.to_thread(save_probes, device.renderer, device.version, level.version, found)
         except OSError as error:
             log.log(
-                logging.INFO if self._unkept else logging.WARNING, "%s, but until this service ends: %s cannot be written (%s)",
+                logging.INFO if self._unkept else logging.WARNING,
+                "%s, but only until this service ends: %s cannot be written (%s)",
                 text, error.filename or self._folder, error.strerror or error,
             )  # fmt: skip
             self._unkept = True
         else:
-            log.info("%s; kept in %s", text, path)
+            log.info("%s; saved to %s", text, path)
 
     async def _watch(self) -> None:
         while True:
@@ -128,7 +142,7 @@ class IdleProbes:
             self._take_up(await asyncio.to_thread(self._changed))
 
     def _changed(self) -> dict[str, MapProbes]:
-        """What lies in the files that have changed since they were read, by the version of its level."""
+        """Return the probes of files that have changed since they were read, by version of their level."""
         found: dict[str, MapProbes] = {}
         assert self._folder is not None
         for path in self._folder.glob("*.json"):

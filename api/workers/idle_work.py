@@ -1,7 +1,7 @@
-"""Work for which no request waits: done in processes of its own, one at a time, while the render processes are idle.
+"""Idle work: jobs without a waiting request, run one at a time in separate processes while the render processes are idle.
 
-A job's process stands back behind all others, and is stopped while requests wait or are worked on: they do not wait for it, and
-times that it takes are of an idle machine. It ends with the service. A job that fails is not tried again.
+A job's process has the lowest priority. It is stopped (SIGSTOP) while requests wait or run. Requests do not wait for it, and
+the times that it measures are those of an idle machine. The process ends with the service. A failed job is not retried.
 """
 
 from __future__ import annotations
@@ -24,21 +24,30 @@ from skugga.terrain.compiling.parent_process import end_with_parent
 from skugga.terrain.errors import SkuggaError
 
 QUIET_S = 5.0
-"""How long nothing has to have waited or run before idle work begins, or goes on."""
+"""Seconds without a waiting or running request before idle work starts or resumes."""
 
 QUIET_CHECK_S = 0.25
-"""How often it is looked whether that is so."""
+"""Interval between checks for idleness."""
 
 LONGEST_S = 900.0
-"""How long a job may run, without its pauses, before it is given up."""
+"""Timeout of a job, without its pauses."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdleJob:
-    """``function(*args)`` in a process of its own: a function of a module, and values that can be pickled.
+    """A call ``function(*args)`` that runs in a separate process. The function belongs to a module, and the values are
+    picklable.
 
-    In the event loop ``done`` is called with what it returns, or ``failed`` with the reason why it returns nothing. It is dropped
-    where it is not ``wanted`` any more.
+    Attributes
+    ----------
+    function, args
+        The call.
+    done
+        Called in the event loop with the result.
+    failed
+        Called in the event loop with the reason of a failure.
+    wanted
+        Returns whether the result is still needed; otherwise the job is dropped.
     """
 
     function: Callable[..., Any]
@@ -49,22 +58,28 @@ class IdleJob:
 
 
 class _FailedError(Exception):
-    """A job has brought nothing; the reason is its text."""
+    """A job failed; the text is the reason."""
 
 
 class _NotWantedError(Exception):
-    """Nobody wants the result any more."""
+    """The result is no longer needed."""
 
 
 class IdleWork:
-    """Jobs that wait for idleness, first come first served. ``busy`` says whether anything waits or runs; ``gl_threads`` are
-    those of a software rasteriser. To be used from one event loop.
+    """A queue of jobs for idle time, first in, first out. For use from one event loop.
+
+    Parameters
+    ----------
+    busy
+        Returns whether any request waits or runs.
+    gl_threads
+        Number of threads of a software rasteriser.
     """
 
     def __init__(self, busy: Callable[[], bool], gl_threads: int = 1) -> None:
         self._busy, self._gl_threads = busy, gl_threads
         self._jobs: asyncio.Queue[IdleJob] = asyncio.Queue()
-        # One thread that lives as long as this: a process ends with the thread that has started it.
+        # One thread for the whole lifetime: a process ends with the thread that started it.
         self._threads = ThreadPoolExecutor(1, "skugga-idle")
         self._task: asyncio.Task[None] | None = None
         self._disturbed_s = float("-inf")
@@ -73,25 +88,25 @@ class IdleWork:
 
     @property
     def pid(self) -> int | None:
-        """The process of the job that is being done."""
+        """Process id of the running job; ``None`` without one."""
         return None if self._child is None else self._child.pid
 
     def add(self, job: IdleJob) -> None:
-        """Let a job wait for idleness, which counts from now on at the earliest."""
+        """Queue a job. The idle period that it needs starts now at the earliest."""
         self._disturbed_s = asyncio.get_running_loop().time()
         self._jobs.put_nowait(job)
 
     def disturb(self) -> None:
-        """Something has come that is to be done at once: idle work stops."""
+        """Pause idle work, because a request has arrived."""
         self._disturbed_s = asyncio.get_running_loop().time()
         self._pause(True)
 
     def open(self) -> None:
-        """Begin to wait for jobs and idleness."""
+        """Start processing jobs."""
         self._task = asyncio.create_task(self._work())
 
     async def close(self) -> None:
-        """End what is being done, and begin nothing more."""
+        """End the running job and start no others."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -117,10 +132,11 @@ class IdleWork:
         return asyncio.get_running_loop().time() - self._disturbed_s >= QUIET_S
 
     async def _result(self, job: IdleJob) -> Any:
-        """What a job returns; its process is gone after it, whatever happens. Raises ``_FailedError``, ``_NotWantedError`` or
-        ``OSError``.
+        """Run a job and return its result. The process never outlives this call.
+
+        Raises ``_FailedError``, ``_NotWantedError`` or ``OSError``.
         """
-        # What a killed process leaves in its temporary folder goes with it.
+        # Files that a killed process leaves behind are deleted with its temporary folder.
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
             piped = PipedProcess(idle_main, folder, self._gl_threads, job.function, job.args, name="skugga-idle")
             child = ChildProcess(piped, self._threads)
@@ -133,7 +149,7 @@ class IdleWork:
                     done, result = answer.result()
                 except (EOFError, OSError):
                     await child.gone()
-                    raise _FailedError(f"its process ended with status {child.exitcode}") from None
+                    raise _FailedError(f"its process ended with exit status {child.exitcode}") from None
                 if not done:
                     raise _FailedError(result)
                 return result
@@ -142,7 +158,7 @@ class IdleWork:
                 await child.end()
 
     async def _watch(self, job: IdleJob, answer: asyncio.Future[Any]) -> None:
-        """Wait for an answer, and stop and continue its process by what else is to be done."""
+        """Wait for an answer; pause and resume the process as requests come and go."""
         left_s = LONGEST_S
         while not answer.done():
             await asyncio.wait({answer}, timeout=QUIET_CHECK_S)
@@ -163,17 +179,17 @@ class IdleWork:
 
 
 def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
-    """An idle job's process: what the function returns, or why it does not, is sent; temporary files lie in ``folder``."""
+    """Run an idle job in its process, and send the result or the reason of the failure. Temporary files go to ``folder``."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()
-    if pipe.poll(0):  # nothing is ever sent: the service has ended before that could be noted
+    if pipe.poll(0):  # the pipe is closed, since nothing is ever sent: the service ended before this process watched it
         return
     give_way()
     os.environ.setdefault("LP_NUM_THREADS", str(gl_threads))
     tempfile.tempdir = folder
     try:
         answer = True, function(*args)
-    except Exception as error:  # whatever it is, it is told once, by the service
+    except Exception as error:  # the service logs it once, whatever it is
         answer = False, _reason(error)
     with suppress(BrokenPipeError):
         pipe.send(answer)

@@ -1,4 +1,4 @@
-"""Jobs that wait for a render process: which is next, which must leave a process to others, and how long all of it may take."""
+"""The queue of jobs that wait for a render process: order, expected waits, and the process reserved for light jobs."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from skugga.api.workers.expected_times import ExpectedTimes, kind_of_job
 from skugga.api.workers.jobs import Answer, Job
 
 BEHIND_S = 20.0
-"""By how much later than it did a background job is taken to have come: whoever asks for a picture meanwhile goes first. Under a
-load that does not end it still has its turn.
+"""Queue penalty of a background job, in seconds: it counts as having arrived this much later.
+
+Requests that arrive meanwhile go first. Under a continuous load background jobs still make progress.
 """
 
 
@@ -22,20 +23,24 @@ class PendingJob:
 
     Attributes
     ----------
+    job : Job
+        The job.
+    answer : asyncio.Future
+        Receives the answer.
     came_s, began_s : float
-        When it came and began, by the event loop's clock.
+        When the job arrived and when it started, by the event loop's clock.
     cost_s : float
-        Seconds that it is expected to take.
-    expires
-        Ends its waiting.
+        Expected duration in seconds.
+    expires : asyncio.TimerHandle or None
+        Timer that ends the waiting.
     clients : Counter
-        How many requests of each client wait for it. The first client pays for it.
+        Number of waiting requests per client. The job is charged to the first client.
     begun : int
-        How often it was begun.
+        Number of times the job was started.
     plan_version : str
-        Version of the plans that it began by.
+        Version of the plans that the job started with.
     is_background : bool
-        Whether it is part of longer work, and nobody waits for this part.
+        Whether the job is part of longer work, without a request that waits for this part.
     """
 
     job: Job
@@ -51,27 +56,41 @@ class PendingJob:
 
     @property
     def client(self) -> str:
-        """The client that pays for it."""
+        """The client that the job is charged to."""
         return next(iter(self.clients), "")
 
     @property
     def turn_s(self) -> float:
-        """Where it stands among jobs of its client."""
+        """Sort key of the job among jobs of its client."""
         return self.came_s + self.cost_s + (BEHIND_S if self.is_background else 0.0)
 
 
 @dataclass
 class JobQueue:
-    """Jobs that wait, and those that run, under what is known of how long they take.
+    """Waiting and running jobs, scheduled by their expected durations.
 
-    Clients take turns by deficit round robin (Shreedhar, Varghese 1995), in expected seconds, with a quantum that goes to nothing:
-    all clients that wait earn the same, and the first one that has earned what its next job costs has the next turn. So a client
-    gets its share of the processes, however much others ask for.
+    Clients take turns by deficit round robin (Shreedhar, Varghese 1995), in expected seconds, with an infinitesimal quantum:
+    all waiting clients earn the same, and the first one that has earned the cost of its next job goes next. Each client gets
+    its share of the processes, whatever load the others add.
 
-    Of one client the job is next that came first, as if each had come later by as long as it will take: light ones pass heavy ones
-    that came a little before them, and nothing waits for ever. Background jobs have come ``BEHIND_S`` later, and keep nobody out.
-    Jobs that are not known to be light, and background jobs, run on all processes but one, where there are several: one is left to
-    the others.
+    A client's jobs are ordered by arrival time plus expected duration. Light jobs overtake heavy ones that arrived a little
+    earlier, and no job starves. Background jobs carry a penalty of ``BEHIND_S`` and do not count in admission control.
+
+    Background jobs, and jobs not known to be light, use all processes but one if there are several. One process stays free for
+    light jobs.
+
+    Attributes
+    ----------
+    processes : int
+        Number of render processes.
+    expected : ExpectedTimes
+        Expected durations.
+    waiting : dict
+        Waiting jobs.
+    running : set
+        Running jobs.
+    earned_s : dict
+        Unspent credit of each waiting client, in seconds. The client that had the last turn comes last.
     """
 
     processes: int
@@ -79,27 +98,26 @@ class JobQueue:
     waiting: dict[Job, PendingJob] = field(default_factory=dict)
     running: set[PendingJob] = field(default_factory=set)
     earned_s: dict[str, float] = field(default_factory=dict)
-    """What each client that waits has earned and not spent; the one that had its turn last is the last one."""
 
     def __len__(self) -> int:
         return len(self.waiting)
 
     @property
     def pictures(self) -> list[PendingJob]:
-        """What waits and is no background job."""
+        """Waiting jobs without background jobs."""
         return [each for each in self.waiting.values() if not each.is_background]
 
     def of_client(self, client: str) -> list[PendingJob]:
-        """The pictures that wait and that a client pays for."""
+        """Return the waiting jobs, without background jobs, that are charged to a client."""
         return [each for each in self.pictures if each.client == client]
 
     def put(self, pending: PendingJob) -> None:
-        """Let a job wait."""
+        """Queue a job."""
         pending.cost_s = self.expected.of(pending.job)
         self.waiting[pending.job] = pending
 
     def take(self, now_s: float) -> PendingJob | None:
-        """The next job, which runs from now on; ``None`` where none may."""
+        """Start the next job and return it; ``None`` if no job may start."""
         heavy = sum(not self._is_light(each) for each in self.running)
         may_be_heavy = heavy < max(self.processes - 1, 1)
         pending = self._next([each for each in self.waiting.values() if may_be_heavy or self._is_light(each)], now_s)
@@ -111,13 +129,13 @@ class JobQueue:
         return pending
 
     def discard(self, pending: PendingJob) -> None:
-        """Forget a job, whether it waits or runs."""
+        """Remove a job, whether it waits or runs."""
         if self.waiting.get(pending.job) is pending:
             del self.waiting[pending.job]
         self.running.discard(pending)
 
     def learn(self, job: Job, seconds: float) -> None:
-        """Note that a job took so long, and expect as much of those of its kind that wait."""
+        """Add the measured duration of a job, and update the expected durations of waiting jobs of its kind."""
         self.expected.learn(job, seconds)
         kind = kind_of_job(job)
         for each in self.waiting.values():
@@ -125,8 +143,9 @@ class JobQueue:
                 each.cost_s = self.expected.of(each.job)
 
     def wait_s(self, job: Job, client: str, now_s: float) -> float:
-        """How long a job of a client that comes now is expected to wait for its turn: until its own jobs before it are done, and
-        until each other client has had as much.
+        """Return the expected wait of a client's job that arrives now, in seconds.
+
+        The job waits until earlier jobs of its client are done, and until each other client has had as much time.
         """
         cost_s = self.expected.of(job)
         work_s: dict[str, float] = {client: 0.0}
@@ -151,8 +170,8 @@ class JobQueue:
         return self._first_by_deficit(firsts) if firsts else None
 
     def _first_by_deficit(self, firsts: dict[str, PendingJob]) -> PendingJob:
-        """Whose job is next of those of several clients."""
-        known = [client for client in self.earned_s if client in firsts]  # in the order of their last turns
+        """Choose among the first jobs of several clients by deficit round robin, and update the clients' credit."""
+        known = [client for client in self.earned_s if client in firsts]  # ordered by last turn
         wanting = {client: firsts[client].cost_s - self.earned_s.get(client, 0.0) for client in dict.fromkeys([*known, *firsts])}
         chosen = min(wanting, key=lambda client: wanting[client])
         earning_s = max(wanting[chosen], 0.0)
@@ -160,7 +179,7 @@ class JobQueue:
         earned_s = {
             client: self.earned_s.get(client, 0.0) for client in dict.fromkeys([*self.earned_s, *wanting]) if client in waiting
         }
-        for client in wanting:  # more than the next job costs is not hoarded
+        for client in wanting:  # credit is capped at the cost of the next job
             earned_s[client] = min(earned_s[client] + earning_s, firsts[client].cost_s)
         earned_s[chosen] = earned_s.pop(chosen) - firsts[chosen].cost_s
         self.earned_s = earned_s

@@ -1,4 +1,4 @@
-"""What the service and its render processes say to each other: picklable values, nothing else."""
+"""Messages between the service and its render processes: picklable values only."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from skugga.selector.replanning import PlanState
 
 ServedPolicy = Literal["rules", "predict"]
-"""Policies that a request may name; ``measure`` takes minutes, at design time."""
+"""Policies that a request may name. ``measure`` takes minutes and is for design time."""
 
 
 class _Value(BaseModel):
@@ -32,15 +32,15 @@ class _Value(BaseModel):
 
 
 class LevelKey(LevelSource):
-    """What a level is loaded from, and a version that changes with its text and the files that it names."""
+    """The source of a level, with a version that changes with its text and the files that it names."""
 
     version: str
 
 
 class BlockJob(_Value):
-    """Compute a block of 4 x 4 tiles (1024 x 1024 px) and encode it: block (x, y) of a tile matrix counts from its corner.
+    """Compute and encode a block of 4 x 4 tiles (1024 x 1024 px): block (x, y) counts from the corner of a tile matrix.
 
-    ``tiles``: each picture shows so many tiles a side.
+    Each picture covers ``tiles`` x ``tiles`` tiles.
     """
 
     level: LevelKey
@@ -54,7 +54,7 @@ class BlockJob(_Value):
 
 
 class Tiles(_Value):
-    """The tiles of a zoom, of which all have the same plan."""
+    """The tiles of a zoom, which share one plan."""
 
     matrix_set: str
     zoom: int
@@ -70,7 +70,7 @@ class PlanJob(_Value):
 
 
 class DescriptorJob(_Value):
-    """Describe a level's view, or tiles: what plans are made from."""
+    """Make the descriptor of a level's view, or of tiles: the input of plans."""
 
     level: LevelKey
     view: str | Tiles
@@ -78,7 +78,7 @@ class DescriptorJob(_Value):
 
 
 class DescribedPlanJob(_Value):
-    """Make the plan of a descriptor, as JSON: of a scene that is known by its facts alone."""
+    """Make the plan of a descriptor given as JSON, for a scene known by its facts alone."""
 
     descriptor_json: str
     policy: ServedPolicy = "predict"
@@ -86,10 +86,10 @@ class DescribedPlanJob(_Value):
 
 
 class SnapshotJob(_Value):
-    """Compute a level's view, or another one that is ``seen_from`` elsewhere, and encode it.
+    """Compute and encode a level's view, or another perspective (``seen_from``).
 
-    ``size`` is (width, height) in pixels, ``seconds`` what the level's clock says; ``None`` leaves either to the level.
-    ``light`` is the one whose visibility is shown, ``None`` the first.
+    ``size`` is (width, height) in pixels and ``seconds`` the time of the level's clock; ``None`` uses the level's own.
+    ``light`` names the light whose visibility is shown; ``None`` is the first.
     """
 
     level: LevelKey
@@ -103,10 +103,10 @@ class SnapshotJob(_Value):
 
 
 class MapJob(_Value):
-    """Compute a map of any extent of a level and encode it.
+    """Compute and encode a map of any extent of a level.
 
-    ``bounds`` are west, south, east, north in units of ``crs``, ``None`` the level's own; ``size`` is (width, height) in pixels.
-    What is transparent shows a ``background`` (``RRGGBB``), if there is one.
+    ``bounds`` are west, south, east, north in units of ``crs``; ``None`` uses the level's own. ``size`` is (width, height) in
+    pixels. ``background`` (``RRGGBB``) fills transparent pixels; ``None`` keeps them transparent.
     """
 
     level: LevelKey
@@ -122,9 +122,7 @@ PointProduct = Literal["report", "horizon", "sky"]
 
 
 class PointJob(_Value):
-    """Look at the sun from a point: its report as JSON, its horizon in a ``format`` of files, its sky's chart as svg or png, or
-    the chart's figures as json.
-    """
+    """Compute a point's sun report (JSON), horizon file (``format``), sky chart (svg or png), or the chart's figures (json)."""
 
     level: LevelKey
     query: PointQuery
@@ -134,7 +132,7 @@ class PointJob(_Value):
 
 
 class PointsJob(_Value):
-    """Look at the sun from many points, on the day and by the clock of a query."""
+    """Compute the sun's state at many points, on the day and clock time of a query."""
 
     level: LevelKey
     points: tuple[TrackPoint, ...]
@@ -143,8 +141,10 @@ class PointsJob(_Value):
 
 
 class Film(_Value):
-    """What a film of a level shows: when it plays, and one of the level's views, or a camera along a ``path``; ``size`` is (width,
-    height), ``None`` leaves it to either. The sun of a request is that of a film without dates.
+    """The content of a film: a time span, and one of the level's views or a camera along a ``path``.
+
+    ``size`` is (width, height) in pixels; ``None`` uses that of the view or path. A film without dates uses the sun of its
+    request.
     """
 
     level: LevelKey
@@ -155,24 +155,24 @@ class Film(_Value):
     request: PictureRequest = PictureRequest()
 
     def film_request(self) -> FilmRequest:
-        """The same as the engine takes it."""
+        """Return the request in the engine's form."""
         overrides = self.request.overrides.for_selector()
         return FilmRequest(self.span, self.view, self.path, self.size, overrides=overrides)
 
 
 class FilmCheckJob(Film):
-    """Look at all frames of a film before any is drawn, and plan the first one."""
+    """Check all frames of a film before any is drawn, and plan the first one."""
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedPlans:
-    """What a frame's plan leaves for the plan of the next one, which another process may make. Equal to itself alone."""
+    """Planning state that a frame hands to the next one, which another process may draw. Compared by identity."""
 
     state: PlanState
 
 
 class FrameJob(Film):
-    """Draw a frame of a film, counted from 0, by plans that go on from those of the frame before it."""
+    """Draw a frame of a film, counted from 0. Its plans continue those of the previous frame."""
 
     number: int
     before: InstanceOf[CarriedPlans] | None = None
@@ -186,28 +186,28 @@ Job = (
 
 @dataclass(frozen=True)
 class Ping:
-    """Asks an idle render process whether it still answers, and tells it the blocks of levels to prepare for while it is idle."""
+    """Heartbeat request to an idle render process. It names the blocks of levels to prepare while idle."""
 
     first_blocks: tuple[BlockJob, ...] = ()
 
 
 @dataclass(frozen=True)
 class Pong:
-    """It does. ``missing_loops`` of all recorded ones are stored nowhere, as far as it has counted them."""
+    """Heartbeat answer. ``missing_loops`` counts the recorded loops without a stored binary, as far as they were counted."""
 
     missing_loops: int = 0
 
 
 @dataclass(frozen=True)
 class Preparing:
-    """What a render process does before it is ready, or before a job, and how far it is.
+    """Progress of a render process before it is ready, or before a job.
 
     Attributes
     ----------
     task : str
-        In words for people, as "compiling loops for map tiles".
+        The step in words, for example "compiling loops for map tiles".
     done, total : int
-        Steps; ``total`` is 0 while it is unknown.
+        Number of steps; ``total`` is 0 while unknown.
     """
 
     task: str
@@ -217,8 +217,20 @@ class Preparing:
 
 @dataclass(frozen=True)
 class Ready:
-    """A render process has warmed up: what it draws with, by OpenGL's names, the calibration that its plans go by, and which of
-    EGL's devices it has. ``missing_loops`` of all recorded ones are stored nowhere yet.
+    """A render process has warmed up.
+
+    Attributes
+    ----------
+    renderer : str
+        OpenGL's name of the renderer.
+    device : DeviceProfile or None
+        Calibration that its plans use.
+    version : str
+        OpenGL's version; empty without OpenGL.
+    egl_device : str
+        Name of its EGL device.
+    missing_loops : int
+        Number of recorded loops that are not stored yet.
     """
 
     renderer: str
@@ -230,11 +242,30 @@ class Ready:
 
 @dataclass(frozen=True, eq=False)
 class BlockTiles:
-    """The tiles of a block, by row and column in it, in one layer and format; ``drawn`` for this answer, or kept.
+    """The tiles of a block in one layer and format.
 
-    ``headline`` are the plan's algorithms as in overrides; ``passes`` are names with milliseconds; the caster reach is in metres,
-    ``None`` where each of many suns had its own; ``renderer`` drew it, by plans of a version (``PlanBasis``). ``unprobed`` is
-    the class of a map whose plan goes by predictions alone (``skugga.api.workers.map_plans``).
+    Attributes
+    ----------
+    tiles : dict
+        Files by row and column in the block.
+    encode_ms : float
+        Duration of encoding in milliseconds.
+    headline : str
+        Algorithms of the plan, written as in overrides.
+    passes : tuple
+        Names of passes with milliseconds.
+    reach_used_m, reach_needed_m : float or None
+        Caster reach in metres; ``None`` if each of many suns had its own.
+    reach_clipped : bool
+        Whether the reach was clipped.
+    renderer : str
+        Renderer that drew the block.
+    plan_version : str
+        Version of the plans (``PlanBasis``).
+    drawn : bool
+        Whether the block was drawn for this answer, and not cached.
+    unprobed : MapClass or None
+        Class of the map if its plan relies on predictions alone (``skugga.api.workers.map_plans``).
     """
 
     tiles: dict[tuple[int, int], bytes]
@@ -257,7 +288,7 @@ class BlockTiles:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A finished snapshot or map: the bytes of its file and the milliseconds that encoding took; the rest is as in a block."""
+    """A finished snapshot or map: the bytes of its file and the duration of encoding; the other fields as in ``BlockTiles``."""
 
     body: bytes
     encode_ms: float
@@ -291,21 +322,21 @@ class DescriptorAnswer:
 
 @dataclass(frozen=True)
 class PointAnswer:
-    """The bytes of a point's report, of its horizon file or of its chart; of many points JSON, a list."""
+    """The bytes of a point's report, horizon file or chart; a JSON list for many points."""
 
     body: bytes
 
 
 @dataclass(frozen=True)
 class FilmChecked:
-    """A film can be drawn as far as is known beforehand; its frames are expected to take so long, if anything is predicted."""
+    """Result of a film check without errors. ``frame_ms`` is the expected duration per frame, if predicted."""
 
     frame_ms: float | None
 
 
 @dataclass(frozen=True, eq=False)
 class FilmPicture:
-    """A frame of a film: ``color`` uint8 (rows, cols, 3), and what its plan leaves for the next one."""
+    """A frame of a film: ``color`` uint8 (rows, cols, 3), and the planning state for the next frame."""
 
     color: np.ndarray
     after: CarriedPlans
@@ -324,7 +355,7 @@ class Failure:
 
     @classmethod
     def of(cls, error: SkuggaError, fatal: bool = False) -> Failure:
-        """The data of an error."""
+        """Return the data of an error."""
         kind = type(error).__name__
         if isinstance(error, InputError):
             value = error.value if isinstance(error.value, str | int | float | None) else repr(error.value)
@@ -332,7 +363,7 @@ class Failure:
         return cls(kind, str(error), fatal=fatal)
 
     def error(self) -> SkuggaError:
-        """The error of the data."""
+        """Return the error that the data describes."""
         kind = {known.__name__: known for known in OUTCOMES}.get(self.kind, RenderError)
         if issubclass(kind, InputError):
             return kind(self.name or "", self.value, self.allowed or "")

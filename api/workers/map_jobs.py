@@ -1,4 +1,4 @@
-"""What a render process does of maps of any extent."""
+"""Maps of any extent, drawn in a render process."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from skugga.terrain.geo.grid import BLOCK_PX, MapView, map_view
 from skugga.terrain.scene import Scene
 
 STEP_DIGITS = 9
-"""Of a map's steps, by which its plan goes: two maps of one scale differ by rounding alone."""
+"""Significant digits of a map's pixel steps in the key of its plan: steps of one scale differ by rounding only."""
 
 
 @dataclass(frozen=True, eq=False)
 class MapFile:
-    """A map's file, and what is said of what drew it; ``reach`` is ``None`` where no one sun did."""
+    """A map's file with facts about its drawing; ``reach`` is ``None`` unless a single sun lit it."""
 
     body: bytes
     encode_ms: float
@@ -36,10 +36,10 @@ class MapFile:
 
 
 def map_asked(scene: Scene, job: MapJob) -> tuple[MapView, bool]:
-    """Return the view of a map of a level, and whether it shows any of its data. Raises ``InputError``."""
+    """Return the view of a map, and whether it shows any data of the level. Raises ``InputError``."""
     if job.bounds is not None and job.crs is not None:
         crs = CRS.from_user_input(job.crs)
-        if not scene.shows(crs, job.bounds):
+        if not scene.overlaps(crs, job.bounds):
             return map_view(scene.world, crs, job.bounds, rows=job.size[1], cols=job.size[0]), False
     view = scene.view("map", job.bounds, job.crs, job.size)
     assert isinstance(view, MapView)
@@ -47,8 +47,9 @@ def map_asked(scene: Scene, job: MapJob) -> tuple[MapView, bool]:
 
 
 def planned_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]:
-    """Return the part of a level that stands for all its maps of a scale in a CRS, by which they are planned, as tiles of a zoom
-    are; and what tells the scale.
+    """Return the key of a map's scale, and the part of the level that stands for all its maps of that scale and CRS.
+
+    All these maps share the plan of that part, like the tiles of a zoom.
     """
     row_step, col_step = (float(f"{step:.{STEP_DIGITS}g}") for step in (view.row_step, view.col_step))
     rows, cols = extent_on_grid(scene.world, scene.elevation, view.grid)
@@ -60,7 +61,7 @@ def planned_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]:
 
 
 def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], Plan]) -> MapFile:
-    """Compute a map; ``plan_of`` gives the plan of a part of a scale. Raises ``SkuggaError``."""
+    """Compute a map; ``plan_of`` returns the plan of a scale from its key and part. Raises ``SkuggaError``."""
     request, (view, has_data) = job.request, map_asked(scene, job)
     product, start = request.record, clock.perf_counter()
     if not has_data:
@@ -79,7 +80,7 @@ def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], P
 
 
 def _whole_pass(name: str, start: float) -> PassRecord:
-    """The record of a product that no passes draw, begun at a reading of the clock."""
+    """Return the record of a product without passes, which started at ``start`` of the performance counter."""
     return PassRecord(name, (clock.perf_counter() - start) * 1000.0)
 
 
@@ -92,7 +93,7 @@ def _map_file(
 
 
 def _over(array: np.ndarray, background: str | None) -> np.ndarray:
-    """A picture with alpha over a background ``RRGGBB``, if there is one."""
+    """Composite a picture with alpha over a background ``RRGGBB``, if one is given."""
     if background is None or array.ndim != 3 or array.shape[2] != 4:
         return array
     red, green, blue = bytes.fromhex(background)

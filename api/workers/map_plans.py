@@ -1,4 +1,4 @@
-"""Plans of a level's maps and tiles in a service: predictions, corrected by what was probed for maps like them."""
+"""Plans of a level's maps and tiles in a service: predictions, corrected by probes of similar maps."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from skugga.api.workers.jobs import LevelKey
 from skugga.api.workers.plan_basis import PlanBasis
-from skugga.selector.map_probes import PROBED_FOR, MapClass, map_class
+from skugga.selector.map_probes import PROBE_SETTINGS, MapClass, map_class
 from skugga.selector.select import plan_of_view, select
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -15,8 +15,8 @@ from skugga.terrain.ground.surface import map_pixel_m
 
 if TYPE_CHECKING:
     from skugga.selector.choices import PlanRequest, PolicyName
+    from skugga.selector.observation import Observation
     from skugga.selector.replanning import PlanFunction
-    from skugga.selector.seen import Seen
     from skugga.shadows.plan import Plan
     from skugga.terrain.facts.descriptor import Descriptor
     from skugga.terrain.scene import Scene
@@ -31,12 +31,12 @@ def plan_in_service(
     basis: PlanBasis,
     policy: PolicyName = "predict",
 ) -> Plan:
-    """The plan of a view of a level. Raises ``SkuggaError``."""
+    """Return the plan of a view of a level. Raises ``SkuggaError``."""
     return plan_of_view(scene, view, name, overrides, policy, basis.device, seen=_seen(scene, view, overrides, level, basis))
 
 
 def plans_in_service(scene: Scene, view: MapView | PerspectiveView, level: LevelKey, basis: PlanBasis) -> PlanFunction:
-    """What makes plans of a view of a level from its descriptor, as ``plan_in_service`` does, for whatever is asked."""
+    """Return a function that plans a view of a level from its descriptor, as ``plan_in_service`` does, for any request."""
 
     def plan(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None) -> Plan:
         seen = _seen(scene, view, overrides or {}, level, basis)
@@ -46,18 +46,18 @@ def plans_in_service(scene: Scene, view: MapView | PerspectiveView, level: Level
 
 
 def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis) -> MapClass | None:
-    """The class of a map for which a probe would correct the predictions; ``None`` where there is one, or it would not."""
+    """Return the class of a map whose predictions a probe would correct; ``None`` if it is probed or a probe cannot help."""
     found = _class(scene, view, overrides)
     return found if basis.device is not None and found is not None and basis.probes_of(level).of(found) is None else None
 
 
 def _seen(
     scene: Scene, view: MapView | PerspectiveView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis
-) -> Mapping[str, tuple[Seen, ...]] | None:
+) -> Mapping[str, tuple[Observation, ...]] | None:
     return basis.probes_of(level).of(_class(scene, view, overrides)) if isinstance(view, MapView) else None
 
 
 def _class(scene: Scene, view: MapView, overrides: Mapping[str, Any]) -> MapClass | None:
-    if scene.sun is None or not set(overrides) <= PROBED_FOR:
+    if scene.sun is None or not set(overrides) <= PROBE_SETTINGS:
         return None
     return map_class(map_pixel_m(scene.world, view), scene.sun.altitude_deg)

@@ -1,4 +1,4 @@
-"""What render processes make plans by, and a version of it for each level, which entity tags and caches of pictures know."""
+"""The inputs of plans in render processes, and their version per level, which entity tags and caches of pictures include."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from skugga.api.workers.jobs import LevelKey
-from skugga.selector.cost.device_profile import digest_of
+from skugga.selector.cost.device_profile import profile_digest
 from skugga.terrain.cache import MIB, cached
 
 if TYPE_CHECKING:
@@ -19,8 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlanBasis:
-    """The device's calibration, and by versions of levels what was ``probed`` for each alone, as JSON of
-    ``skugga.selector.map_probes.MapProbes``. A value: another one takes its place.
+    """The inputs of plans, immutable: a change makes a new ``PlanBasis``.
+
+    Attributes
+    ----------
+    device : DeviceProfile or None
+        Calibration of the device.
+    probed : Mapping
+        Probes of each level by the level's version, as JSON of ``skugga.selector.map_probes.MapProbes``.
     """
 
     device: DeviceProfile | None = None
@@ -28,12 +34,13 @@ class PlanBasis:
 
     @cached_property
     def calibration(self) -> str:
-        """The digest of the calibration; empty where there is none."""
-        return digest_of(self.device)
+        """Digest of the calibration; empty without one."""
+        return profile_digest(self.device)
 
     def version_of(self, level: LevelKey | None) -> str:
-        """The version of a level's plans (``None``: of what no level has): it changes with the calibration, and with what was
-        probed for the level. Empty where neither is there.
+        """Return the version of a level's plans; ``None`` stands for plans without a level.
+
+        The version changes with the calibration and with the level's probes. It is empty without either.
         """
         found = None if level is None else self.probed.get(level.version)
         if found is None:
@@ -41,11 +48,11 @@ class PlanBasis:
         return hashlib.sha256(f"{self.calibration}\n{found}".encode()).hexdigest()[:16]
 
     def probes_of(self, level: LevelKey) -> MapProbes:
-        """What was probed for a level."""
+        """Return the probes of a level."""
         return _probes(self.probed.get(level.version, "{}"))
 
     def with_probed(self, found: Mapping[str, str]) -> PlanBasis:
-        """The same with what was probed for versions of levels."""
+        """Return a copy with further probes, by version of their level."""
         return replace(self, probed={**self.probed, **found})
 
 

@@ -1,4 +1,4 @@
-"""What a render process does of points: it has their levels open."""
+"""Reports about points, computed in a render process because it has their levels open."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from skugga.api.point.report import around_point, clock_asked, day_asked, report
 from skugga.api.point.sky_figures import sky_figures
 from skugga.api.point.track import sun_at_points
 from skugga.api.workers.jobs import PointAnswer, PointJob, PointsJob
-from skugga.shadows.point.horizon import horizon_round
+from skugga.shadows.point.horizon import horizon_profile
 from skugga.terrain.scene import Scene
 
 
 def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
-    """A point's report (of nulls off the data), its horizon file, or its sky's chart or figures. Raises ``InputError``."""
+    """Return a point's report (nulls where the level has no data), horizon file, sky chart or figures. Raises ``InputError``."""
     if job.product == "report":
         return PointAnswer(report_or_null(scene, job.query).model_dump_json().encode())
     around = around_point(scene, job.query)
     if job.product == "horizon":
-        return PointAnswer(horizon_file(job.format, horizon_round(around, directions_for(job.format)), around.place).encode())
+        return PointAnswer(horizon_file(job.format, horizon_profile(around, directions_for(job.format)), around.place).encode())
     day = day_asked(scene, job.query, around.place.lon_deg)
     clock = clock_asked(scene, job.query, around.place.lon_deg, day)
     if job.format == "json":
-        return PointAnswer(sky_figures(around, horizon_round(around), day, clock).model_dump_json().encode())
+        return PointAnswer(sky_figures(around, horizon_profile(around), day, clock).model_dump_json().encode())
     format: Any = job.format
     title = scene.loaded.level.title or scene.loaded.name
-    return PointAnswer(sky_picture(around, horizon_round(around), day, clock, format, title))
+    return PointAnswer(sky_picture(around, horizon_profile(around), day, clock, format, title))
 
 
 def points_answer(job: PointsJob, scene: Scene) -> PointAnswer:
-    """Elevation, sun and hours of the day at many points, as JSON."""
+    """Return elevation, sun and hours of the day at many points as JSON."""
     rows = sun_at_points(scene, list(job.points), job.query)
     return PointAnswer(json.dumps([row.as_json(point) for point, row in zip(job.points, rows, strict=True)]).encode())

@@ -1,5 +1,7 @@
-"""The render processes of a service: a queue before them that is fair to clients, one render for all who want the same, finished
-pictures kept, and a service that goes on when a process hangs, is stopped or dies."""
+"""The pool of render processes: a fair queue, single-flight deduplication, a cache of finished pictures, and supervision.
+
+The service survives render processes that hang, are stopped or die.
+"""
 
 from __future__ import annotations
 
@@ -52,28 +54,40 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
-"""Pause before a second start in a row that follows a failure; it doubles from there."""
+"""Backoff before restarts: from the second failed start in a row it starts here and doubles up to the maximum."""
 
 PREPARE_AFTER_S = 1.0
-"""How long a process is idle before it is told what to prepare for."""
+"""Idle time after which a process is told what to prepare."""
 
 PING_EVERY_S, PONG_S = 5.0, 30.0
-"""How long a process may be idle before it is asked whether it still answers, and how long it may take to: it may be opening a
-level for later requests.
-"""
+"""Idle time before a heartbeat, and its timeout. The process may be opening a level for later requests."""
 
 TRIES = 2
-"""How often a job is begun whose process dies in the middle of it."""
+"""Maximum number of starts of a job whose process dies while it runs."""
 
 log = logging.getLogger("skugga")
 
 
 @dataclass
 class PoolCounters:
-    """What the pool has done since it was started.
+    """Counters of the pool since its start.
 
-    ``refused`` found no place or a kind that is set aside, ``expired`` waited for too long, ``timed_out`` took too long,
-    ``retried`` lost their process and were begun again.
+    Attributes
+    ----------
+    answered, failed : int
+        Jobs that ended with an answer or with an error.
+    abandoned : int
+        Jobs dropped because no request waited for them any more.
+    started : int
+        Render processes started.
+    refused : int
+        Jobs refused by admission control or by the circuit breaker.
+    expired : int
+        Jobs that waited too long.
+    timed_out : int
+        Jobs that ran too long.
+    retried : int
+        Jobs started again after their process died.
     """
 
     answered: int = 0
@@ -87,16 +101,25 @@ class PoolCounters:
 
 
 class Pool:
-    """Runs jobs in render processes. To be used from one event loop.
+    """Runs jobs in render processes. For use from one event loop.
 
-    Equal jobs at the same time are one job. Finished blocks and snapshots are kept within ``block_cache_bytes``. A process that
-    is idle prepares for the levels of ``first_blocks``; the first one may have been ``spawned`` before, by ``first_config``. A
-    device without a calibration is given one by ``measure`` while nothing is drawn, and levels that maps are drawn of are probed by
-    ``probe``. Loops that are stored nowhere are compiled in the background once a process is ready; ``preparing`` is how far that
-    is, and before that how far the first process is; ``preparing_since`` is when that began, by ``time.monotonic``.
+    - Equal pending jobs are deduplicated.
+    - Finished blocks and snapshots are cached within ``block_cache_bytes``.
+    - An idle process prepares for the levels of ``first_blocks``.
+    - ``spawned`` is a first process, started earlier with ``first_config``.
+    - A device without a calibration is calibrated by ``measure`` while nothing is drawn.
+    - Levels that maps are drawn of are probed by ``probe`` in idle time.
+    - Loops that are not stored are compiled in the background once a process is ready.
 
-    ``basis`` is what plans go by. Another one may take its place at any time: what is begun after that goes by it, in all
-    processes, and of what is kept only pictures of its version are found.
+    Attributes
+    ----------
+    preparing : Preparing or None
+        Progress of the first process until it is ready, then of the background compilation.
+    preparing_since : float
+        Start of that step, by ``time.monotonic``.
+    basis : PlanBasis or None
+        Inputs of plans. It may be replaced at any time: jobs that start later use the new one, in all processes, and only
+        pictures of its version are found in the cache.
     """
 
     def __init__(
@@ -111,7 +134,7 @@ class Pool:
         self._settings = settings
         self._target, self._first_blocks, self._spawned = target, first_blocks, spawned
         self._config = first_config(settings)
-        # Twice as many: a process that cannot be killed keeps its thread, and another one takes its place.
+        # Twice as many threads: a process that cannot be killed keeps its thread while a new one replaces it.
         self._threads = ThreadPoolExecutor(2 * settings.workers, "skugga-pipe")
         self._finished: Cache[BlockTiles | Snapshot] = Cache(
             "skugga.api.workers.finished", "process", settings.block_cache_bytes, lambda drawn: drawn.nbytes
@@ -140,16 +163,16 @@ class Pool:
 
     @property
     def ready(self) -> bool:
-        """Whether a render process has warmed up, and was not stopped since."""
+        """Whether a render process has warmed up and is not stopped now."""
         return any(not is_stopped(pid) for pid in self.pids)
 
     @property
     def whole(self) -> bool:
-        """Whether everything that keeps render processes running still does."""
+        """Whether all supervisors of render processes still run."""
         return self._closed or not any(slot.done() for slot in self._slots)
 
     def plan_version(self, level: LevelKey | None) -> str:
-        """The version of a level's plans that are made now; ``None``: of plans of what clients describe."""
+        """Return the version of a level's plans made now; ``None`` stands for plans of clients' descriptors."""
         return "" if self.basis is None else self.basis.version_of(level)
 
     def _version_of(self, job: Job) -> str:
@@ -168,7 +191,7 @@ class Pool:
         self.basis = (self.basis or PlanBasis()).with_probed(found)
 
     def _is_busy(self) -> bool:
-        """Whether the cores have other work than what waits for idleness."""
+        """Return whether the cores have other work than idle work."""
         return bool(self.queued or self.running or self._starting or self.compiling.is_running)
 
     def _note_preparing(self, preparing: Preparing | None) -> None:
@@ -177,40 +200,40 @@ class Pool:
         self.preparing = preparing
 
     async def settled(self) -> None:
-        """Wait until it is known what the first process draws with, or that it cannot be started."""
+        """Wait until the first process has warmed up and its renderer is known, or until it has failed to start."""
         await self._settled.wait()
 
     @property
     def queued(self) -> int:
-        """Jobs that wait for a process."""
+        """Number of jobs that wait for a process."""
         return len(self._queue)
 
     @property
     def running(self) -> int:
-        """Jobs that processes work on."""
+        """Number of jobs that processes work on."""
         return len(self._queue.running)
 
     @property
     def kept_bytes(self) -> int:
-        """Bytes of the finished blocks and snapshots that are kept."""
+        """Bytes of the cached blocks and snapshots."""
         return self._finished.nbytes
 
     def finished(self, job: Job) -> BlockTiles | Snapshot | None:
-        """A block or a snapshot that is kept, of the version that plans have now."""
+        """Return the cached block or snapshot of a job, drawn with the current version of plans; ``None`` without one."""
         drawn = self._finished.get(job, self._version_of(job))
         return None if isinstance(drawn, Missing) else drawn
 
     def expected_s(self, job: Job) -> float:
-        """Seconds that a job is expected to take, without its waiting."""
+        """Return the expected duration of a job in seconds, without its wait."""
         return self._queue.expected.of(job)
 
     def open(self) -> None:
-        """Start the processes; returns at once."""
+        """Start the processes. Returns at once."""
         self.idle.open()
         self._slots = [asyncio.create_task(self._slot(number)) for number in range(self._settings.workers)]
 
     async def close(self) -> None:
-        """End the processes and fail what is on its way."""
+        """End the processes, and fail all pending jobs."""
         self._closed = True
         self._settled.set()
         for slot in self._slots:
@@ -223,18 +246,31 @@ class Pool:
         self._threads.shutdown(wait=True)
 
     def expected_wait_s(self, job: Job, client: str) -> float:
-        """Seconds that a job of a client that comes now is expected to wait for its turn."""
+        """Return the expected wait of a client's job that arrives now, in seconds."""
         return self._queue.wait_s(job, client, asyncio.get_running_loop().time())
 
     async def run(self, job: Job, client: str = "") -> Result:
-        """The answer to a job of a client, from memory where it is kept.
+        """Return the answer to a client's job, from the cache if possible.
 
-        Raises ``LaterError`` where the client has too much in the queue or its turn does not come in time, ``SetAsideError`` where
-        such jobs keep failing, ``WorkerStartError`` where no process gets ready, ``GraphicsError`` where none can draw,
-        ``RenderTimeoutError``, ``WorkerCrashError``, and what the work itself raises. A job that nobody waits for any more is
-        dropped unless it has begun.
+        The answer uses plans of the version current at the time of the call, or newer ones. A job that no request waits for any
+        more is dropped unless it has started.
 
-        The answer goes by plans of the version that there was when it was asked for, or by newer ones.
+        Raises
+        ------
+        LaterError
+            The client has too much in the queue, or the job waited too long.
+        SetAsideError
+            Jobs of this kind keep failing.
+        WorkerStartError
+            No process gets ready.
+        GraphicsError
+            No process can draw.
+        RenderTimeoutError
+            The job ran too long.
+        WorkerCrashError
+            The process ended while the job ran.
+        SkuggaError
+            The work itself failed.
         """
         kept = self.finished(job)
         if kept is not None:
@@ -242,21 +278,21 @@ class Pool:
         version = self._version_of(job)
         flight = self._flights.get(job) or self._enqueue(job, client)
         answer = await self._landed(flight, client)
-        if flight.plan_version not in (version, self._version_of(job)):  # it had begun before, by older plans
+        if flight.plan_version not in (version, self._version_of(job)):  # the job had started earlier, with older plans
             answer = await self._landed(self._flights.get(job) or self._enqueue(job, client), client)
         if isinstance(answer, Failure):
             raise answer.error()
         return answer
 
     async def _landed(self, flight: PendingJob, client: str) -> Answer:
-        """How a job ends, for a client that waits for it."""
+        """Wait for the answer to a pending job on behalf of a client."""
         job = flight.job
         flight.clients[client] += 1
         try:
             return await asyncio.shield(flight.answer)
         finally:
             flight.clients[client] -= 1
-            flight.clients += Counter()  # drops those of whom no request waits
+            flight.clients += Counter()  # drops clients without waiting requests
             if not flight.clients and self._queue.waiting.get(job) is flight:
                 self._forget(flight)
                 flight.answer.cancel()
@@ -274,7 +310,7 @@ class Pool:
             self.tally.refused += 1
             raise _set_aside(job, left_s)
         flight = PendingJob(job, loop.create_future(), loop.time(), is_background=isinstance(job, FrameJob))
-        # An error that nobody waits for any more is no news.
+        # Mark errors as retrieved, since no request may wait for them any more.
         flight.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
         if not flight.is_background:
             try:
@@ -292,8 +328,9 @@ class Pool:
         flight.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, flight)
 
     def _expire(self, flight: PendingJob) -> None:
-        """Its turn has not come in time. Waiting is limited by the start of processes before the first one is ready or while none
-        is, and while one compiles loops by the end of that.
+        """Fail a job that has waited too long.
+
+        The limit does not apply before the first process has started or failed to, or while a process compiles loops.
         """
         if self._queue.waiting.get(flight.job) is not flight:
             return
@@ -301,12 +338,15 @@ class Pool:
             self._limit_waiting(flight)
             return
         self.tally.expired += 1
-        waited = f"The service is busy: this picture's turn did not come within {self._settings.queue_timeout_s:g} s."
+        waited = f"The service is busy: this picture waited longer than the limit of {self._settings.queue_timeout_s:g} s."
         wait_s = self._queue.wait_s(flight.job, flight.client, asyncio.get_running_loop().time())
         self._land(flight, LaterError(waited, retry_after_s(wait_s)))
 
     async def _slot(self, number: int) -> None:
-        """Keep one process running, whatever happens to it. The first to start compiles what the others then find compiled."""
+        """Supervise one render process: restart it with backoff for ever.
+
+        The other slots wait until the first one has started, since it compiles loops for all.
+        """
         if number:
             await self._settled.wait()
         failures = 0
@@ -315,17 +355,17 @@ class Pool:
                 await asyncio.sleep(min(FIRST_PAUSE_S * 2 ** (failures - 2), LONGEST_PAUSE_S))
             try:
                 healthy = await self._one_process(number)
-            except Exception as error:  # out of descriptors, threads or memory, or a bug: the slot outlives all of them
-                log.error("a render process's place failed, and starts another: %s: %s", type(error).__name__, error)
+            except Exception as error:  # out of descriptors, threads or memory, or a bug: the slot survives all of them
+                log.error("a supervisor of render processes failed and starts another process: %s: %s", type(error).__name__, error)
                 self._could_not_start(exhausted_error(error) or WorkerStartError(f"a render process cannot be started: {error}"))
                 healthy = False
             failures = 0 if healthy else failures + 1
 
     async def _one_process(self, number: int) -> bool:
-        """Whether a process was started, and ended in good order or at least after having taken a job."""
+        """Run one process. Return whether it started, and ended in good order or after taking a job."""
         spawned, self._spawned = self._spawned, None
         if spawned is None:
-            # OpenGL that was there is waited for: a service does not turn into one that draws less.
+            # Require OpenGL if an earlier process had it: a service must not lose features at a restart.
             needs_opengl = self.renderer not in (None, NO_OPENGL)
             config = replace(self._config, needs_opengl=needs_opengl, basis=self.basis, number=number)
             spawned = Spawned(self._target, config)
@@ -371,7 +411,7 @@ class Pool:
             self._fail_all(_start_failure(error), list(self._queue.waiting.values()))
 
     async def _serve(self, worker: WorkerProcess) -> bool:
-        """Whether the process took any job: what ends it after that is the job's doing, and no failed start."""
+        """Serve jobs with a process. Return whether it took any: a later end is the job's doing, not a failed start."""
         for count in range(self._settings.recycle_blocks):
             flight = await self._next(worker)
             if flight is None:
@@ -379,7 +419,7 @@ class Pool:
             flight.plan_version = self._version_of(flight.job)
             try:
                 answer = await worker.ask(flight.job, self._settings.render_timeout_s, self.basis)
-            except ExhaustedError as error:  # the process was not asked
+            except ExhaustedError as error:  # the process did not receive the job
                 self._land(flight, error)
                 continue
             except WorkerCrashError as error:
@@ -393,8 +433,8 @@ class Pool:
                 self._land(flight, error)
                 self._fails(flight.job)
                 return True
-            except Exception as error:  # this place's own fault: whoever waits must not wait for ever
-                self._land(flight, WorkerCrashError(f"the render process's place failed: {error!r}"))
+            except Exception as error:  # a bug of this slot: clients must not wait for ever
+                self._land(flight, WorkerCrashError(f"the supervisor of the render process failed: {error!r}"))
                 raise
             if isinstance(answer, Failure) and answer.fatal:
                 log.error("render process %s is replaced: %s", worker.pid, answer.message)
@@ -405,7 +445,7 @@ class Pool:
         return True
 
     async def _next(self, worker: WorkerProcess) -> PendingJob | None:
-        """The next job of the queue; ``None`` where the process dies, or does not answer any more, while it waits for one."""
+        """Return the next job of the queue; ``None`` if the process dies or stops answering while it waits."""
         loop = asyncio.get_running_loop()
         while not worker.dead:
             flight = self._queue.take(loop.time())
@@ -422,7 +462,7 @@ class Pool:
                     worker.first_blocks = ()
                     if isinstance(pong, Pong):
                         self.compiling.begin(pong.missing_loops)
-                except ExhaustedError:  # it is asked again later
+                except ExhaustedError:  # try again later
                     continue
                 except (RenderTimeoutError, WorkerCrashError):
                     log.error("render process %s is replaced: it does not answer any more", worker.pid)
@@ -431,7 +471,7 @@ class Pool:
         return None
 
     def _try_again(self, flight: PendingJob, outcome: Failure | SkuggaError) -> None:
-        """Begin a job again whose process ended in the middle of it, once, if anybody still waits; else tell how it ended."""
+        """Start a job again, once, whose process ended, if a client still waits. Otherwise answer with the outcome."""
         if flight.begun < TRIES and flight.clients and not self._closed:
             self._queue.discard(flight)
             self._queue.put(flight)
@@ -444,18 +484,21 @@ class Pool:
         self._fails(flight.job)
 
     def _fails(self, job: Job) -> None:
-        """Note that a job ended its process, and refuse those of its kind that wait where that was once too often."""
+        """Record that a job ended its process. If that opens the circuit breaker, fail waiting jobs of its kind."""
         self._set_aside.failed(job)
         left_s = self._set_aside.seconds_left(job)
         if left_s <= 0.0:
             return
-        log.error("%s is set aside for %.0f s", _named(job), left_s)
+        log.error("%s keeps failing: its circuit breaker is open for %.0f s", _named(job), left_s)
         for flight in list(self._queue.waiting.values()):
             if self._set_aside.seconds_left(flight.job) > 0.0:
                 self._land(flight, _set_aside(flight.job, left_s))
 
     def _land(self, flight: PendingJob, answer: Answer | SkuggaError, learn: bool = True) -> None:
-        """Answer all who wait. ``learn`` from the time that the job took, unless something was prepared for it, as happens once."""
+        """Answer all clients that wait for a job.
+
+        Learn its duration if ``learn`` is set. A one-time preparation before the job makes the duration unrepresentative.
+        """
         if flight.began_s is not None and not isinstance(answer, SkuggaError | Failure):
             if learn:
                 self._queue.learn(flight.job, asyncio.get_running_loop().time() - flight.began_s)
@@ -481,7 +524,7 @@ class Pool:
         if self._flights.get(flight.job) is flight:
             del self._flights[flight.job]
         self._queue.discard(flight)
-        self._news.set()  # whoever waits for a place of its kind may have it now
+        self._news.set()  # a waiting job may start now
 
     def _fail_all(self, error: SkuggaError, flights: list[PendingJob]) -> None:
         for flight in flights:
@@ -489,7 +532,7 @@ class Pool:
 
 
 def _start_failure(error: SkuggaError) -> SkuggaError:
-    """What a request is told whose process cannot be started."""
+    """Return the error for a request when its process cannot be started."""
     return error if isinstance(error, ExhaustedError | WorkerStartError) else GraphicsError(str(error))
 
 
@@ -501,5 +544,5 @@ def _named(job: Job) -> str:
 
 
 def _set_aside(job: Job, left_s: float) -> SetAsideError:
-    message = f"{_named(job)} took too long, or ended its process, several times: it is tried again later."
+    message = f"{_named(job)} took too long, or ended its render process, several times. Try again later."
     return SetAsideError(message, retry_after_s(left_s))

@@ -1,4 +1,4 @@
-"""What a render process does for later requests while none waits: it opens levels, and reads in what few requests need."""
+"""Preparation of a render process for later requests while it is idle: open levels, import rarely needed modules."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ log = logging.getLogger("skugga.worker")
 
 
 def prepare_level(block: BlockJob, state: WorkerState) -> None:
-    """Open the level of a block, and find how much of the sky its ground sees if the block's plan needs that.
+    """Open the level of a block, and compute its sky view factors if the block's plan needs them.
 
-    A level that cannot be opened is left to its first request, which says why.
+    A level that cannot be opened is logged; its first request reports the reason.
     """
     name = block.level.path.stem
     try:
@@ -27,10 +27,10 @@ def prepare_level(block: BlockJob, state: WorkerState) -> None:
             sky_view(scene.elevation, scene.world)
     except SkuggaError as error:
         log.warning("level %s cannot be drawn yet: %s", name, error)
-    except Exception:  # a bug with one level must not keep the process from the others
+    except Exception:  # a bug with one level must not block the others
         log.exception("level %s cannot be prepared", name)
 
 
 def import_pvlib() -> None:
-    """Import what places the sun at a time: half a second, which only requests with a time need."""
+    """Import the library of sun positions. It takes half a second, and only requests with a time need it."""
     apparent_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)

@@ -1,6 +1,4 @@
-"""What the service knows of its processes from outside. Where the system has no ``/proc`` (that is, not on Linux), nothing is
-known.
-"""
+"""Facts about processes from the operating system. Without ``/proc`` (not Linux) they are unknown."""
 
 from __future__ import annotations
 
@@ -11,29 +9,29 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 NICENESS = 2
-"""How far render processes stand back behind the service, which answers from its caches while they draw: see nice(2)."""
+"""Niceness of render processes: the service has priority, since it answers from its caches while they draw. See nice(2)."""
 
 LOWEST = 19
-"""The niceness of what is done while nothing is asked for."""
+"""Niceness of idle work."""
 
 JOIN_S = 5.0
-"""How long a killed process may take to be gone."""
+"""Timeout of a killed process's exit."""
 
 END_CHECK_S = 0.005
-"""How often it is looked whether a killed process is gone."""
+"""Interval between checks for a killed process's exit."""
 
 STOPPED_STATES = "Tt"
-"""Of ``/proc/PID/stat``: stopped by a signal or by a tracer."""
+"""States in ``/proc/PID/stat`` of a process that a signal or a tracer has stopped."""
 
 
 def stand_back() -> None:
-    """Let the service go before this process where both want the same core."""
+    """Lower this process's priority below that of the service."""
     with suppress(OSError, AttributeError):
         os.nice(NICENESS)
 
 
 def give_way() -> None:
-    """Let all others go before this process: for cores, and where memory runs out, which then ends this one."""
+    """Give this process the lowest CPU priority, and make it the first to be killed when memory runs out."""
     with suppress(OSError, AttributeError):
         os.nice(LOWEST)
     with suppress(OSError):
@@ -41,14 +39,14 @@ def give_way() -> None:
 
 
 async def process_end(process: BaseProcess) -> None:
-    """Wait until a killed process is gone, for ``JOIN_S`` at most. This needs no thread: there may be none left."""
+    """Wait until a killed process has ended, for at most ``JOIN_S``. Needs no thread, since none may be left."""
     until_s = asyncio.get_running_loop().time() + JOIN_S
     while process.exitcode is None and asyncio.get_running_loop().time() < until_s:
         await asyncio.sleep(END_CHECK_S)
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether a process was stopped (SIGSTOP, a debugger) and not continued: it will answer nothing."""
+    """Return whether a process is stopped (SIGSTOP or a debugger), so that it answers nothing."""
     try:
         state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0]
     except (OSError, IndexError):
@@ -57,7 +55,7 @@ def is_stopped(pid: int) -> bool:
 
 
 def resident_bytes(pid: int | None = None) -> int:
-    """Memory that a process takes now, this one by default; 0 where there is no way to know."""
+    """Return the resident memory of a process in bytes, by default of this one; 0 if unknown."""
     try:
         pages = Path(f"/proc/{pid or 'self'}/statm").read_text(encoding="ascii").split()[1]
     except (OSError, IndexError):
@@ -66,7 +64,7 @@ def resident_bytes(pid: int | None = None) -> int:
 
 
 def open_descriptors() -> int:
-    """File descriptors that this process has open; a usual number where there is no way to count them."""
+    """Return the number of open file descriptors of this process; a typical number if they cannot be counted."""
     try:
         return len(os.listdir("/proc/self/fd"))
     except OSError:

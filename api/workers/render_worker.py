@@ -1,6 +1,6 @@
-"""A render process: it owns the one OpenGL context, takes jobs over a pipe and answers with values.
+"""The main loop of a render process: it owns the only OpenGL context, receives jobs over a pipe and answers with values.
 
-It is started by ``spawn`` and computes products like anyone else. It ends when its pipe is closed.
+It is started by ``spawn`` and computes products with the same functions as the command line. It ends when its pipe is closed.
 """
 
 from __future__ import annotations
@@ -64,35 +64,45 @@ from skugga.shadows.plan import Plan
 from skugga.terrain.cache import Missing
 from skugga.terrain.casters.reach import Reach
 from skugga.terrain.compiled import CORES
-from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, MASKS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS, compile_ahead
+from skugga.terrain.compiling.ahead_of_time import (
+    MAPS,
+    MAPS_OF_CASTERS,
+    MASKS,
+    PICTURES,
+    POINTS,
+    PRODUCTS,
+    SUN_HOURS,
+    VIEWS,
+    compile_ahead,
+)
 from skugga.terrain.compiling.farm import missing_tasks
-from skugga.terrain.compiling.hooks import compiled_by, need
+from skugga.terrain.compiling.hooks import declare_product, missing_loop_compiler
 from skugga.terrain.compiling.loop_cache import loop_store
 from skugga.terrain.compiling.parent_process import end_with_parent
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.gbuffer.supersampling import is_bare
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from skugga.terrain.gl import device as gl
-from skugga.terrain.gl.egl_devices import take_turn
+from skugga.terrain.gl.egl_devices import set_process_number
 from skugga.terrain.level.level import SUN, Shadows
 from skugga.terrain.scene import Scene
 
 IDLE_S = 1.0
-"""How long a process that is ready waits for a job before it prepares for later ones."""
+"""Idle time after which a ready process prepares for later jobs."""
 
 log = logging.getLogger("skugga.worker")
 
 
 def run_job(job: Job, state: WorkerState) -> Result:
-    """Do a job. Raises ``SkuggaError``."""
+    """Run a job. Raises ``SkuggaError``."""
     if isinstance(job, DescribedPlanJob):
         return _plan_of_facts(job, state)
     scene = job.request.seen(state.scenes.get(job.level))
     overrides = job.request.overrides.for_selector()
-    need(product_of(job, scene))
+    declare_product(product_of(job, scene))
     match job:
         case DescriptorJob():
             return DescriptorAnswer(describe(scene, *_seen(scene, job.view)).model_dump_json())
@@ -126,7 +136,7 @@ def run_job(job: Job, state: WorkerState) -> Result:
 
 
 def product_of(job: Job, scene: Scene) -> str:
-    """Return the product of a job, whose loops are compiled together where one is missing."""
+    """Return the product of a job, which decides the loops that are compiled together when one is missing."""
     match job:
         case PointJob() | PointsJob():
             return POINTS
@@ -142,7 +152,7 @@ def product_of(job: Job, scene: Scene) -> str:
 
 
 def _is_perspective(job: SnapshotJob | FrameJob | FilmCheckJob, scene: Scene) -> bool:
-    """Whether a job is of a camera: of one that the request places, or of a level's own view."""
+    """Return whether a job shows a perspective view: a camera of the request, or a view of the level."""
     named = scene.loaded.level.views.get(job.view)
     return job.view != "map" if named is None else named.kind == "perspective"
 
@@ -155,7 +165,7 @@ def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
 
 
 def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
-    """Raise ``TooCostlyError`` where a calibrated device is expected to take longer than a picture may."""
+    """Raise ``TooCostlyError`` if a calibrated device is expected to exceed the time limit of a picture."""
     check_cost(plan, subject, state.most_ms, "SKUGGA_RENDER_TIMEOUT_S")
 
 
@@ -180,7 +190,7 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
 
 
 def _tiles_of_array(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
-    """The tiles of a product whose whole block is computed before it is cut."""
+    """Compute a product's whole block as an array, then cut it into tiles."""
     product, start = job.request.record, clock.perf_counter()
     product.check(scene)
     plan = _checked_plan(job, scene, state) if product.needs else None
@@ -196,7 +206,7 @@ def _tiles_of_array(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTil
 
 
 def _checked_plan(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
-    """The plan of a block. Raises ``TooCostlyError``."""
+    """Return the plan of a block. Raises ``TooCostlyError``."""
     plan = plan_of_tiles(job, scene, state)
     _check_cost(plan, f"a block of {BLOCK_PX}x{BLOCK_PX}", state)
     return plan
@@ -205,7 +215,7 @@ def _checked_plan(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
 def _block_facts(
     job: BlockJob, plan: Plan, passes: Sequence[PassRecord], reach: Reach | None, scene: Scene, state: WorkerState
 ) -> dict[str, Any]:
-    """What a block says of what drew it, and whether a probe would correct its plan."""
+    """Return facts about the drawing of a block, and the class of its map if a probe would correct its plan."""
     unprobed = unprobed_class(scene, block_view(job), job.request.overrides.for_selector(), job.level, state.basis)
     return {**_facts(plan.headline, passes, reach, state, job.level), "unprobed": unprobed}
 
@@ -223,12 +233,12 @@ def _map(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
 
 
 def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
-    """A view, and the name that its plan has."""
+    """Return a view, and the name of the view in its plan."""
     return (tiles_view(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
 
 def _facts(headline: str, passes: Sequence[PassRecord], reach: Reach | None, state: WorkerState, level: LevelKey) -> dict[str, Any]:
-    """What a picture says of what drew it; the reach is ``None`` where no one sun did."""
+    """Return facts about the drawing of a picture. ``reach`` is ``None`` unless a single sun lit it."""
     return {
         "headline": headline, "passes": tuple((record.name, record.ms) for record in passes),
         "renderer": state.renderer, "plan_version": state.basis.version_of(level),
@@ -238,14 +248,14 @@ def _facts(headline: str, passes: Sequence[PassRecord], reach: Reach | None, sta
 
 
 def run_worker(pipe: Connection, config: WorkerConfig) -> None:
-    """Warm up, say so, then answer jobs until the pipe is closed or an error leaves OpenGL in doubt."""
+    """Warm up, report readiness, then answer jobs until the pipe is closed or an error makes the OpenGL context unreliable."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()
-    if pipe.poll(0):  # nothing is sent before this process is ready: the service has ended before that could be noted
+    if pipe.poll(0):  # the pipe is closed, since nothing is sent yet: the service ended before this process watched it
         return
     stand_back()
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
-    take_turn(config.number)
+    set_process_number(config.number)
     from skugga.api.workers.warm_up import warm_up
 
     def say(task: str, done: int = 0, total: int = 0) -> None:
@@ -259,12 +269,12 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
         compile_ahead(products, CORES, say)
 
     try:
-        with compiled_by(compile_products):
+        with missing_loop_compiler(compile_products):
             renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
             if problem := loop_store().problem:
                 say(problem)
             state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
-            if compiled:  # a first start: more is missing. Else that is looked for while nothing is asked
+            if compiled:  # a first start lacks more loops; later starts count them in idle time
                 count_missing_loops(state)
             version, egl_device = gl.renderer_and_version()[1], gl.egl_device_name()
             pipe.send(Ready(state.renderer, state.device, version, egl_device, state.missing_loops))
@@ -276,12 +286,12 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
 
 
 def count_missing_loops(state: WorkerState) -> None:
-    """Count the recorded loops that are stored nowhere; this imports the modules of all loops."""
+    """Count the recorded loops that are not stored. Imports the modules of all loops."""
     state.missing_loops = len(missing_tasks(PRODUCTS))
 
 
 def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Callable[[], None]]) -> None:
-    """Answer jobs until one ends the process. Do one idle step after the other while none comes.
+    """Answer jobs until one ends the process. Run one idle step after another while no job arrives.
 
     Raises ``EOFError`` or ``OSError`` when the pipe is closed.
     """
@@ -292,7 +302,7 @@ def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Call
         job = pipe.recv()
         if isinstance(job, Ping):
             pipe.send(Pong(state.missing_loops))
-            # While loops are missing they are compiled in the background, on all cores: that is no idle time.
+            # Missing loops are being compiled in the background on all cores, so this time is not idle.
             blocks = () if state.missing_loops else job.first_blocks[:MAX_SCENES]
             steps.extend(partial(prepare_level, block, state) for block in blocks)
             continue
@@ -311,7 +321,7 @@ def _answer(job: Job, state: WorkerState) -> Answer:
     except SkuggaError as error:
         in_doubt = isinstance(error, GraphicsError) and not isinstance(error, NoOpenGLError)
         return Failure.of(error, fatal=in_doubt)
-    except Exception as error:  # a bug, or a driver's own exception: the job fails, and the process with it
+    except Exception as error:  # a bug or an exception of a driver: the job fails and the process ends
         log.exception("a job failed unexpectedly")
-        fatal = not isinstance(job, DescribedPlanJob)  # arithmetic on what a client sent leaves nothing behind in OpenGL
+        fatal = not isinstance(job, DescribedPlanJob)  # these jobs do not touch OpenGL
         return Failure.of(RenderError(f"{type(error).__name__}: {error}"), fatal=fatal)

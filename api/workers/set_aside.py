@@ -1,4 +1,6 @@
-"""Kinds of jobs that keep failing are set aside for a while: nobody else waits for the render processes that they would cost."""
+"""A circuit breaker per kind of job: kinds that keep failing are refused for a while, so that they do not use up render
+processes.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,10 @@ from skugga.api.workers.jobs import BlockJob, DescribedPlanJob, DescriptorJob, J
 from skugga.terrain.cache import MIB, Cache, Missing
 
 FAILURES = 2
-"""Failures in a row after which a kind is set aside."""
+"""Failures in a row after which the circuit opens."""
 
 FIRST_ABSENCE_S, LONGEST_ABSENCE_S = 30.0, 600.0
-"""How long, first; it doubles with each failure that follows."""
+"""Duration of the open state: first and maximum. It doubles with each further failure."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +27,10 @@ class _Record:
 
 
 class SetAside:
-    """Which kinds of jobs are set aside, and until when.
+    """Circuit breakers of all kinds of jobs.
 
-    A level as a whole is set aside where its plain pictures fail, those that ask nothing of the shadows; what a request asks for
-    can set aside only what asks for the same.
+    Failures of plain pictures (without overrides of shadows) open the circuit of the whole level. Failures of other pictures
+    affect only jobs with the same overrides.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -36,23 +38,23 @@ class SetAside:
         self._records: Cache[_Record] = Cache("skugga.api.workers.set_aside", "process", MIB, lambda _: 512)
 
     def seconds_left(self, job: Job) -> float:
-        """How long a job is set aside yet; 0: it is not."""
+        """Return how long the circuit of a job stays open, in seconds; 0 if it is closed."""
         return max(max((self._record(key).until - self._clock() for key in _keys(job)), default=0.0), 0.0)
 
     def failed(self, job: Job) -> None:
-        """A job was given up, or ended its process."""
+        """Record a job that timed out or ended its process."""
         for key in _counted(job):
             record = self._record(key)
             record = replace(record, failures=record.failures + 1)
             if record.failures >= FAILURES:
-                # One failure more is enough after the pause.
+                # After the pause a single further failure opens the circuit again.
                 record = _Record(
                     FAILURES - 1, self._clock() + record.next_pause_s, min(record.next_pause_s * 2.0, LONGEST_ABSENCE_S)
                 )
             self._records.put(key, value=record)
 
     def succeeded(self, job: Job) -> None:
-        """A job was done."""
+        """Record a job that succeeded."""
         for key in _counted(job):
             self._records.drop(key)
 
@@ -67,6 +69,6 @@ def _keys(job: Job) -> list[Hashable]:
 
 
 def _counted(job: Job) -> list[Hashable]:
-    """The kinds for which it counts how a job went."""
+    """Return the keys whose circuits an outcome of a job affects."""
     plain = isinstance(job, BlockJob | PlanJob | DescriptorJob) and not job.request.overrides.asked
     return _keys(job) if plain else _keys(job)[:1]

@@ -1,4 +1,4 @@
-"""A process at the other end of a pipe. Light: a service starts its first one before it imports what it needs itself."""
+"""A process at the other end of a pipe. The imports are few: a service starts its first process before its own imports."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WorkerTarget = Callable[[Connection, WorkerConfig], None]
 
 
 class PipedProcess:
-    """A process that runs ``target(pipe, *args)`` once it is started. It does not outlive this one."""
+    """A process that runs ``target(pipe, *args)`` once started. It ends with this process."""
 
     def __init__(self, target: Callable[..., None], *args: Any, name: str) -> None:
         spawn = get_context("spawn")
@@ -24,23 +24,23 @@ class PipedProcess:
     def start(self) -> None:
         """Start the process. Raises ``OSError``."""
         self.process.start()
-        self.theirs.close()  # else its end would not be noticed
+        self.theirs.close()  # otherwise the pipe would stay open when the child ends
 
     def end(self) -> None:
-        """End the process at once, if it was started and has not ended."""
+        """Kill the process if it runs."""
         if self.process.pid is not None:
             self.process.kill()
             self.process.join(JOIN_S)
         self.close()
 
     def close(self) -> None:
-        """Close the pipe, of a process that has ended or was never started."""
+        """Close the pipe of a process that has ended or was never started."""
         self.pipe.close()
         self.theirs.close()
 
 
 class Spawned(PipedProcess):
-    """A render process that is told a ``config``."""
+    """A render process with its ``config``."""
 
     def __init__(self, target: WorkerTarget, config: WorkerConfig) -> None:
         super().__init__(target, config, name="skugga-render")

@@ -1,4 +1,4 @@
-"""What a render process does before it says that it is ready: import, compile, draw a block whose answer is known."""
+"""Warm-up of a render process before it reports readiness: import, compile, and draw a block with a known result."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rasterio.transform import from_origin
 from skugga.selector.select import plan_of_view
 from skugga.shadows.registry import FALLBACK
 from skugga.shadows.render import render_frame
-from skugga.terrain.compiling.ahead import MAPS
-from skugga.terrain.compiling.hooks import need
+from skugga.terrain.compiling.ahead_of_time import MAPS
+from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.errors import GraphicsError, NoOpenGLError
 from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
 from skugga.terrain.gl import device as gl
@@ -31,22 +31,22 @@ ZOOM = 12
 """At the equator a pixel is 38 m: the plain is 50 pixels wide, the wall's shadow 520 m long at 30 degrees."""
 
 LOOKED_AT_PX = 64
-"""Side of the picture round the wall's middle by which shadows are proven: it shows all of the plain."""
+"""Side of the test picture around the wall's middle. It shows the whole plain."""
 
 BESIDE_M = 240.0
-"""Where the plain is looked at, on both sides of the wall: inside the shadow and on the sunny side."""
+"""Distance of the tested pixels from the wall: one lies inside the shadow, the other on the sunny side."""
 
 log = logging.getLogger("skugga.worker")
 
 
 def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, say: Callable[[str], None] = log.warning) -> str:
-    """Pay every first cost and prove that shadows are drawn where they belong; returns the renderer's name.
+    """Pay every one-time cost, check that shadows are drawn in the right place, and return the renderer's name.
 
-    Without OpenGL, if it may do without, a process draws what needs none, and says so by ``say``.
+    Without OpenGL, unless it is required, the process draws products that need none, and reports this through ``say``.
 
-    Raises ``GraphicsError`` if OpenGL is missing that is needed or expected, is another renderer than expected, or draws wrongly.
+    Raises ``GraphicsError`` if OpenGL is required or expected but missing, is another renderer than expected, or draws wrongly.
     """
-    need(MAPS)
+    declare_product(MAPS)
     renderer, algorithm = NO_OPENGL, "auto"
     try:
         renderer, algorithm = gl.device().renderer, FALLBACK
@@ -55,15 +55,15 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, say:
             raise
         say(str(error))
     if expect_renderer is not None and expect_renderer not in renderer:
-        raise GraphicsError(f"the OpenGL renderer is '{renderer}', not '{expect_renderer}' as expected")
+        raise GraphicsError(f"the OpenGL renderer is '{renderer}', but SKUGGA_EXPECT_RENDERER is '{expect_renderer}'")
     west, east = _visibility_beside_wall(algorithm)
     if not (west > 0.99 and east < 0.01):
-        raise GraphicsError(f"'{renderer}' draws wrong shadows: visibility {west:.2f} before a wall, {east:.2f} behind it")
+        raise GraphicsError(f"'{renderer}' draws wrong shadows: visibility {west:.2f} in front of a wall, {east:.2f} behind it")
     return renderer
 
 
 def _visibility_beside_wall(proven: str) -> tuple[float, float]:
-    """Visibility of the plain west (towards the sun) and east of the wall by the algorithm that is ``proven``."""
+    """Return the visibility west (towards the sun) and east of the wall, drawn by the algorithm ``proven``."""
     heights = np.zeros((CELLS, CELLS), np.float32)
     heights[:, CELLS // 2 - 1 : CELLS // 2 + 2] = WALL_HEIGHT_M
     left, top = 499_000.0, 1_000.0  # the wall stands on the central meridian of zone 31, at 3 degrees east
@@ -97,14 +97,14 @@ def _scene(source: str, algorithm: str) -> Scene:
 
 
 def _grid_and_middle(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, float]]:
-    """A zoom's grid, and the row and column of the wall there."""
+    """Return a zoom's grid, and the row and column of the wall on it."""
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
     x, y = _mercator_m(scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
     return grid, ((grid.y0 - y) / grid.step, (x - grid.x0) / grid.step)
 
 
 def _round(grid: Grid, place: tuple[float, float]) -> MapView:
-    """The pixels round a place, as far as they lie in its block: each block would be drawn by itself."""
+    """Return a view of the pixels around a position, shifted to stay within its block, since blocks are drawn separately."""
     row, col = (
         float(np.clip(int(index) - LOOKED_AT_PX // 2, first, first + BLOCK_PX - LOOKED_AT_PX))
         for index in place

@@ -1,4 +1,4 @@
-"""What a render process is told at its start. Light: imports nothing that draws."""
+"""The start configuration of a render process. Imports nothing that draws."""
 
 from __future__ import annotations
 
@@ -14,10 +14,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WorkerConfig:
-    """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser. It refuses pictures
-    that are expected to take more than ``most_ms``, and does not start without OpenGL where it ``needs_opengl``. Without a
-    ``basis`` its plans go by the calibration in the user's cache, until it is told another one. Of several OpenGL devices it takes
-    that whose turn its ``number`` is.
+    """Start configuration of a render process.
+
+    Attributes
+    ----------
+    gl_threads : int
+        Number of threads of a software rasteriser.
+    expect_renderer : str or None
+        Text that the renderer's name must contain.
+    needs_opengl : bool
+        Whether the process must not start without OpenGL.
+    most_ms : float or None
+        Limit of a picture's expected time in milliseconds; the process refuses costlier pictures.
+    basis : PlanBasis or None
+        Inputs of plans; ``None`` uses the calibration in the user's cache until the process receives a basis.
+    number : int
+        Number of the process, which selects one of several OpenGL devices in turn.
     """
 
     gl_threads: int
@@ -29,7 +41,7 @@ class WorkerConfig:
 
 
 def first_config(settings: Settings) -> WorkerConfig:
-    """Return what the first render process of a service is told."""
+    """Return the start configuration of a service's first render process."""
     return WorkerConfig(
         gl_threads=max(usable_cores() // settings.workers, 1),
         expect_renderer=settings.expect_renderer,

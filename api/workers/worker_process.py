@@ -1,4 +1,4 @@
-"""One render process as the service sees it: it is asked for answers, and watched while it makes them."""
+"""A supervised render process: the service sends it jobs and monitors it while it answers."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from skugga.api.workers.spawned import Spawned
 from skugga.terrain.errors import RenderTimeoutError
 
 MOST_SAID = 300
-"""Characters of a job in the log: descriptors are long."""
+"""Maximum characters of a job in the log, since descriptors are long."""
 
 LOOK_EVERY_S = 1.0
-"""How often it is looked whether a process that works was stopped."""
+"""Interval between checks whether a working process was stopped."""
 
 T = TypeVar("T")
 
@@ -29,11 +29,31 @@ log = logging.getLogger("skugga")
 
 
 class WorkerProcess:
-    """A process that was spawned, or is to be. ``start`` it, ``ask`` it one job at a time, then ``end`` it.
+    """A render process. Call ``start``, then ``ask`` for one job at a time, then ``end``.
 
-    In the event loop ``on_death`` is called when it ends by itself, and ``on_preparing`` with what it does before it is ready or
-    begins a job. ``basis`` is what its plans go by. ``prepared`` says whether it had to prepare for the job that it did last,
-    ``is_preparing`` whether it does now. For ``first_blocks`` it prepares while it is idle, once it was told of them.
+    Parameters
+    ----------
+    spawned
+        The process, started or not.
+    threads
+        Threads that wait for the pipe.
+    on_death
+        Called in the event loop when the process ends by itself.
+    on_preparing
+        Called in the event loop with the progress before readiness or before a job.
+
+    Attributes
+    ----------
+    basis : PlanBasis or None
+        Inputs of its plans.
+    first_blocks : tuple
+        Blocks that it prepares for while idle, once they were sent.
+    dead : bool
+        Whether the process ended by itself.
+    prepared : bool
+        Whether it prepared for its last job.
+    is_preparing : bool
+        Whether it prepares now.
     """
 
     def __init__(
@@ -59,10 +79,10 @@ class WorkerProcess:
         return self._child.pid
 
     async def start(self, timeout_s: float) -> Ready:
-        """Start the process if it was not, and wait until it has warmed up.
+        """Start the process if necessary, and wait until it has warmed up.
 
-        Raises ``WorkerStartError`` if it ends before that or nothing is heard of it for so long, ``ExhaustedError`` if the machine
-        has no room for it, and the process's own error if it says why it cannot draw.
+        Raises ``WorkerStartError`` if it ends before that or stays silent for ``timeout_s``, ``ExhaustedError`` if the machine
+        has no resources for it, and the process's own error if it cannot draw.
         """
         if self.pid is None:
             try:
@@ -83,8 +103,10 @@ class WorkerProcess:
         return answer
 
     async def ask(self, job: Job | Ping, timeout_s: float, basis: PlanBasis | None = None) -> Answer:
-        """The answer to a job, by plans of a ``basis`` (``None``: as before). After a ``WorkerCrashError`` or
-        ``RenderTimeoutError`` the process is of no more use. Raises ``ExhaustedError`` where there is no thread to ask it in.
+        """Return the answer to a job, with plans of a ``basis`` (``None``: unchanged).
+
+        Raises ``WorkerCrashError`` or ``RenderTimeoutError``, after which the process must be ended, and ``ExhaustedError`` if
+        no thread is available.
         """
         told, self.basis = self.basis, basis or self.basis
         self.prepared = False
@@ -92,7 +114,7 @@ class WorkerProcess:
         def send_and_receive() -> Answer:
             if self.basis is not told:
                 self._pipe.send(self.basis)
-            self._pipe.send(job)  # not in the event loop: a process that does not read lets it wait where the job is long
+            self._pipe.send(job)  # in a thread: sending a long job blocks while the process does not read
             return self._pipe.recv()
 
         try:
@@ -100,17 +122,17 @@ class WorkerProcess:
         except ExhaustedError:  # nothing was sent
             raise
         except TimeoutError:
-            raise RenderTimeoutError(f"The picture took longer than the {timeout_s:g} s it may take.") from None
-        except Exception as error:  # the pipe broke, or brought what cannot be read
-            raise WorkerCrashError(f"render process {self.pid} ended in the middle of {repr(job)[:MOST_SAID]}: {error!r}") from None
+            raise RenderTimeoutError(f"The picture took longer than the limit of {timeout_s:g} s.") from None
+        except Exception as error:  # the pipe broke, or delivered unreadable data
+            raise WorkerCrashError(f"render process {self.pid} ended during {repr(job)[:MOST_SAID]}: {error!r}") from None
 
     async def end(self) -> None:
-        """End the process at once. It holds nothing that would be lost."""
+        """Kill the process. No state is lost."""
         self._unwatch()
         await self._child.end()
 
     async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
-        """Return what follows all that is prepared first; each step of that may take ``timeout_s``. Raises as ``_heard``."""
+        """Return the answer that follows all progress messages; each message may take ``timeout_s``. Raises as ``_heard``."""
         heard = await self._heard(function, timeout_s)
         try:
             while isinstance(heard, Preparing):
@@ -125,7 +147,7 @@ class WorkerProcess:
         return heard
 
     async def _heard(self, function: Callable[[], T], timeout_s: float) -> T:
-        """What a function brings from the pipe. Raises ``TimeoutError``, and ``EOFError`` for a process that was stopped."""
+        """Return the next message from the pipe. Raises ``TimeoutError``, and ``EOFError`` if the process was stopped."""
         loop = asyncio.get_running_loop()
         until, answer = loop.time() + timeout_s, self._child.in_new_thread(function)
         while True:
@@ -133,7 +155,7 @@ class WorkerProcess:
             if done:
                 return answer.result()
             if self.pid is not None and is_stopped(self.pid):
-                raise EOFError("it was stopped")
+                raise EOFError("the process was stopped")
             if loop.time() >= until:
                 raise TimeoutError
 

@@ -1,4 +1,4 @@
-"""What a render process keeps while it lives: open levels, plans of tiles and drawn blocks."""
+"""The caches of a render process: open levels, plans of tiles and drawn blocks."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from skugga.shadows.picture import Picture
 from skugga.shadows.plan import Plan
 from skugga.terrain.cache import MIB, Cache, Missing
 from skugga.terrain.casters.slopes import extent_on_grid
-from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS
-from skugga.terrain.compiling.hooks import need
+from skugga.terrain.compiling.ahead_of_time import MAPS, MAPS_OF_CASTERS
+from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -25,23 +25,23 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 MAX_SCENES = 16
-"""Levels that a process keeps open: an overview (some MB), a file handle, trees and meshes (up to hundreds of MB) each."""
+"""Levels that a process keeps open. Each takes an overview (some MB), a file handle, trees and meshes (up to hundreds of MB)."""
 
 SCENES_BYTES = 2**30
-"""Bytes of their overviews, at most."""
+"""Upper bound of the bytes of their overviews."""
 
 TILE_PLANS_BYTES = 16 * MIB
-"""Bytes of the plans of tiles that a process keeps: some 30 KiB each."""
+"""Upper bound of the cached plans of tiles, some 30 KiB each."""
 
 BLOCKS_BYTES = 48 * MIB
-"""Bytes of the blocks drawn last, some 5 MiB each, of which other layers or formats may be asked for."""
+"""Upper bound of the cached blocks, some 5 MiB each, which serve other layers and formats."""
 
 MAX_PROCESS_BYTES = 3 * 2**30
-"""Memory of a process beyond which it keeps only the level that it draws; with a software rasteriser it takes about 1.5 GB."""
+"""Memory of a process above which it keeps only its current level open. A software rasteriser takes about 1.5 GB."""
 
 
 class SceneCache:
-    """The scenes used last, by level file; a level of which a file has changed is opened anew."""
+    """Cache of recently used scenes by level file. A level is reopened when one of its files has changed."""
 
     def __init__(self, limit: int = MAX_SCENES, process_bytes: Callable[[], int] = resident_bytes) -> None:
         self._process_bytes = process_bytes
@@ -58,13 +58,13 @@ class SceneCache:
         return len(self._scenes)
 
     def get(self, key: LevelKey) -> Scene:
-        """The scene of a level at a version. Raises ``LevelError`` or ``SourceError``."""
+        """Return the scene of a level at a version. Raises ``LevelError`` or ``SourceError``."""
         path = str(key.path)
         entry = self._scenes.get(path)
         if isinstance(entry, Missing) or entry[0] != key.version:
             self._scenes.drop(path)
             loaded = load_level(key)
-            need(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else MAPS)
+            declare_product(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else MAPS)
             entry = key.version, build_scene(loaded)
             self._scenes.put(path, value=entry)
         if self._process_bytes() > MAX_PROCESS_BYTES:
@@ -73,13 +73,13 @@ class SceneCache:
 
 
 class TilePlanCache:
-    """Plans of tiles, one for a level's version, zoom and sun and what is asked: neighbours share it, and it is made once."""
+    """Cache of plans of tiles by version of the level, zoom, sun and request. Neighbouring tiles share a plan."""
 
     def __init__(self, limit_bytes: int = TILE_PLANS_BYTES) -> None:
         self._plans: Cache[Plan] = Cache("skugga.api.workers.tile_plans", "process", limit_bytes)
 
     def get(self, key: Hashable, make: Callable[[], Plan]) -> Plan:
-        """The plan that was made for a key, or is made now."""
+        """Return the plan of a key, and make it if missing."""
         plan = self._plans.get(key)
         if isinstance(plan, Missing):
             plan = make()
@@ -88,14 +88,27 @@ class TilePlanCache:
 
 
 DrawnAndFacts = tuple[Picture, dict[str, Any]]
-"""A block and what is said of what drew it."""
+"""A block and facts about its drawing."""
 
 
 @dataclass(eq=False)
 class WorkerState:
-    """What a render process keeps while it lives: its renderer, what plans go by, scenes, plans of tiles, blocks.
+    """State of a render process: renderer, inputs of plans, and caches.
 
-    Plans and blocks are kept by the version of their plans: those of another one are not found.
+    Plans and blocks are cached by the version of their plans.
+
+    Attributes
+    ----------
+    renderer : str
+        Name of the renderer.
+    basis : PlanBasis
+        Inputs of plans.
+    most_ms : float or None
+        Limit of a picture's expected time in milliseconds.
+    missing_loops : int
+        Number of recorded loops that are not stored.
+    scenes, plans, blocks
+        Caches of open levels, plans of tiles and drawn blocks.
     """
 
     renderer: str
@@ -113,19 +126,19 @@ class WorkerState:
 
 
 def block_view(job: BlockJob) -> MapView:
-    """The view of a block: its pixels are the tile matrix's own."""
+    """Return the view of a block, at the tile matrix's own pixels."""
     return block_of_grid(grid_of_zoom(job.matrix_set, job.zoom), job.block_x, job.block_y)
 
 
 def tiles_view(scene: Scene, tiles: Tiles) -> MapView:
-    """The view of the block that holds the level's middle: what is planned for all tiles of the zoom is planned for this one."""
+    """Return the view of the block at the level's middle; its plan serves all tiles of the zoom."""
     grid = grid_of_zoom(tiles.matrix_set, tiles.zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
     return block_of_grid(grid, int((west + east) / 2 // BLOCK_PX), int((north + south) / 2 // BLOCK_PX))
 
 
 def plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
-    """The plan that all tiles of a block's zoom have."""
+    """Return the plan shared by all tiles of a block's zoom."""
     tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
 
     def make() -> Plan:

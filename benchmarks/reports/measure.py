@@ -14,8 +14,8 @@ from skugga.api.cli.snapshot import scene_and_view
 from skugga.api.report.comparison import about, write_page, write_plot
 from skugga.api.report.summary import casts, format_summary
 from skugga.selector.measure.compare import Comparison, compare
+from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.level.parts import SunSpec
-from skugga.terrain.whole_files import write_whole
 
 MOST_BYTES = 1_000_000
 """Of a published report."""
@@ -51,7 +51,7 @@ def publish(text: str, report: Path) -> None:
     size = len(text.encode())
     if size >= MOST_BYTES:
         raise RuntimeError(f"{report}: {size} bytes; a published report has less than {MOST_BYTES}")
-    write_whole(report, text)
+    write_atomically(report, text)
 
 
 def record(scene: ReportScene, comparison: Comparison, said: dict[str, str]) -> Figures:

@@ -85,7 +85,7 @@ def _by_formulas(look: ViewWithTruth, size: int) -> dict[str, Any]:
     """``wrong_cast`` under biases in depth for each constant b, with the map of ``size`` as drawn and one tap a point: b itself,
     b tan(acos(n.l)), and that held under the report's bound.
     """
-    plan, log = look.plan(one_map(size, bias="polygon_offset", bias_scale=0.0)), PassLog(wanted=frozenset({"shadow-map"}))
+    plan, log = look.plan(one_map(size, bias="polygon_offset", bias_scale=0.0)), PassLog(requested_layers=frozenset({"shadow-map"}))
     look.visibility(plan, log)
     (depths,) = log.layers["shadow-map", SUN]
     settings = settings_of(look, plan)
@@ -107,7 +107,7 @@ def _by_formulas(look: ViewWithTruth, size: int) -> dict[str, Any]:
 
 
 def _wrong_cast(look: ViewWithTruth, dark: np.ndarray) -> float:
-    """``skugga.shadows.truth.metrics.Errors.wrong_cast`` alone, which takes no distances to find."""
+    """``skugga.shadows.truth.metrics.ErrorMetrics.wrong_cast`` alone, which takes no distances to find."""
     truth = look.truth
     cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))

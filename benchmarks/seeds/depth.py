@@ -38,8 +38,8 @@ def mountains(folder: Path) -> Scene:
     trimesh.creation.box(extents=(6.0, 0.2, 3.0)).export(folder / "wall.obj")
     rng = np.random.default_rng(2)
     eye, ahead = np.array(EYE_M), np.array(AHEAD)
-    away_m, aside_m = rng.uniform(20.0, 600.0, 150), rng.uniform(-0.4, 0.4, 150)
-    base = eye + away_m[:, None] * (ahead + aside_m[:, None] * np.array([-ahead[1], ahead[0]]))
+    distance_m, aside_m = rng.uniform(20.0, 600.0, 150), rng.uniform(-0.4, 0.4, 150)
+    base = eye + distance_m[:, None] * (ahead + aside_m[:, None] * np.array([-ahead[1], ahead[0]]))
     target = [*(eye + 300.0 * ahead).tolist(), 0.0]
     ground = {"kind": "ridges", "size": [SIDE_M] * 2, "cell": 30, "relief": RELIEF_M, "seed": 5}
     level = {

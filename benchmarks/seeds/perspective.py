@@ -130,18 +130,18 @@ def thirds(look: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
     return {name: float((wrong & part).sum() / max(int((cast & part).sum()), 1)) for name, part in parts.items()}
 
 
-def stone_circles(folder: Path, view: str, turn_deg: float, away_m: float | None, up: float, **lamp: Any) -> Scene:
+def stone_circles(folder: Path, view: str, turn_deg: float, distance_m: float | None, up: float, **lamp: Any) -> Scene:
     """The stone circles under a light ``turn_deg`` clockwise of where a view looks: a spot so far from what is looked at and so
     high, metres; the sun, ``up`` degrees high, where there is no distance.
     """
-    level = level_of("thesis_rocks_sun" if away_m is None else "thesis_rocks")
+    level = level_of("thesis_rocks_sun" if distance_m is None else "thesis_rocks")
     level["terrain"]["flat"]["size"] = [FLOOR_M, FLOOR_M]
     (x, y, _), (eye_x, eye_y, _) = level["views"][view]["target"], level["views"][view]["eye"]
     azimuth = np.arctan2(x - eye_x, y - eye_y) + np.radians(turn_deg)
-    if away_m is None:
+    if distance_m is None:
         level["sun"] = {"azimuth": float(np.degrees(azimuth)) % 360.0, "altitude": up}
     else:
-        position = [float(x + away_m * np.sin(azimuth)), float(y + away_m * np.cos(azimuth)), up]
+        position = [float(x + distance_m * np.sin(azimuth)), float(y + distance_m * np.cos(azimuth)), up]
         level["lights"]["lamp"] |= {"position": position, "target": [x, y, 0.0], **lamp}
     return scene_of(level, folder)
 
@@ -155,8 +155,8 @@ def measure_light_direction() -> Figures:
     """The stone circles with the light about the viewer: uniform and perspective maps of one size, and controls."""
     rows, cells = [], []
     with TemporaryDirectory() as folder:
-        for light, (turn_deg, away_m, up, lamp) in LIGHTS.items():
-            look = view_with_truth(stone_circles(Path(folder), "main", turn_deg, away_m, up, **lamp), "main", SIZE)
+        for light, (turn_deg, distance_m, up, lamp) in LIGHTS.items():
+            look = view_with_truth(stone_circles(Path(folder), "main", turn_deg, distance_m, up, **lamp), "main", SIZE)
             farthest_m = float(look.ahead_m[look.receivers].max())
             for name, variant in variants().items():
                 each, row = _row(look, name, variant, {"light": light, "farthest_m": farthest_m})
@@ -171,11 +171,11 @@ def measure_light_direction() -> Figures:
 def measure_bad_case() -> Figures:
     """The stone circles from afar, with a spot that comes nearer to them than the camera is."""
     spec, rows, cells = level_of("thesis_rocks")["views"]["overview"], [], []
-    away_m = float(np.linalg.norm(np.subtract(spec["eye"], [*spec["target"][:2], 0.0])))
+    distance_m = float(np.linalg.norm(np.subtract(spec["eye"], [*spec["target"][:2], 0.0])))
     with TemporaryDirectory() as folder:
         for turn_deg, high_deg in NEAR_PLACES:
             for share in NEARER:
-                flat, up = share * away_m * np.cos(np.radians(high_deg)), share * away_m * np.sin(np.radians(high_deg))
+                flat, up = share * distance_m * np.cos(np.radians(high_deg)), share * distance_m * np.sin(np.radians(high_deg))
                 scene = stone_circles(Path(folder), "overview", turn_deg, float(flat), float(up), cutoff=NEAR_CUTOFF_DEG)
                 look = view_with_truth(scene, "overview", SIZE)
                 for name, variant in variants().items():

@@ -21,15 +21,15 @@ from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.truth.cache import cached_truth
-from skugga.shadows.truth.metrics import edge_distances, errors_of
-from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene
+from skugga.shadows.truth.metrics import edge_distances, error_metrics
+from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_mask, ray_scene
 from skugga.shadows.visibility import fill_steps
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN, load_level
@@ -105,8 +105,8 @@ class ViewWithTruth:
         return out
 
     def errors(self, visibility: np.ndarray, texels_px: float | np.ndarray = 0.0) -> dict[str, float]:
-        """The figures of ``skugga.shadows.truth.metrics.Errors``."""
-        return asdict(errors_of(visibility, self.truth, self.descriptor.pixel_m, texels_px))
+        """The figures of ``skugga.shadows.truth.metrics.ErrorMetrics``."""
+        return asdict(error_metrics(visibility, self.truth, self.descriptor.pixel_m, texels_px))
 
 
 def view_with_truth(scene: Scene, name: str, size: tuple[int, int]) -> ViewWithTruth:
@@ -116,8 +116,8 @@ def view_with_truth(scene: Scene, name: str, size: tuple[int, int]) -> ViewWithT
 
 def with_truth(scene: Scene, view: MapView | PerspectiveView, name: str) -> ViewWithTruth:
     """Any view with its truth; ``name`` is the level's view whose settings it shares."""
-    buffer, light = geometry_of(scene, view), scene.light_names[0]
-    casters = casters_of(scene, buffer)
+    buffer, light = geometry_buffer(scene, view), scene.light_names[0]
+    casters = find_casters(scene, buffer)
     truth = cached_truth(buffer, scene, casters, SAMPLES, light)
     return ViewWithTruth(scene, view, light, describe(scene, view, name), buffer, casters, truth)
 
@@ -191,4 +191,4 @@ def shallow(look: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.n
     assert look.scene.sun is not None
     to_sun = look.scene.sun.in_frame(buffer.frame)
     moved = replace(buffer, position_frame_m=buffer.position_frame_m + depth_m * to_sun)
-    return lit_from(moved, look.scene, SUN, ray_scene(look.buffer, look.scene, look.casters, ALL_KINDS))
+    return lit_mask(moved, look.scene, SUN, ray_scene(look.buffer, look.scene, look.casters, ALL_KINDS))

@@ -25,7 +25,7 @@ from skugga.selector.cost.error_model import log_error
 from skugga.selector.map_probes import MapClass, MapProbes, ProbedClass
 from skugga.selector.measure.probe import probed_plan
 from skugga.selector.measure.probing import leader_of
-from skugga.selector.measure.proving import ProbedPictures, SceneProver
+from skugga.selector.measure.scene_prober import ProbedPictures, SceneProber
 from skugga.selector.planner.planner import make_plan, planner_of
 from skugga.selector.predict import plan_options
 from skugga.terrain.describe import describe
@@ -119,16 +119,16 @@ class _Block:
         self.options = options.lights.get(SUN)
         if self.options is not None:
             pictures = ProbedPictures(scene, view, make_plan(descriptor, scene.loaded.level, None, choices={}).runs)
-            self._prover = SceneProver(pictures, options.planner, SUN, self.options)
+            self._prover = SceneProber(pictures, options.planner, SUN, self.options)
         self._drawn: dict[int, tuple[float, float, float]] = {}
 
     def shown(self, which: int) -> tuple[float, float, float]:
         """Error and milliseconds of an option, and the standard deviation of the error's logarithm for want of points."""
         if which not in self._drawn:
             ms = self._prover.draw(which)
-            while not self._drawn and (self._prover.more_points_s() or np.inf) < MOST_POINTS_S:
-                self._prover.more_points()
-            seen = None if ms is None else self._prover.proof(which).seen("", ms)
+            while not self._drawn and (self._prover.add_points_s() or np.inf) < MOST_POINTS_S:
+                self._prover.add_points()
+            seen = None if ms is None else self._prover.measurement(which).seen("", ms)
             self._drawn[which] = (1.0, np.inf, 0.0) if seen is None else (seen.error, seen.ms, seen.error_noise)
         return self._drawn[which]
 

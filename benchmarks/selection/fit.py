@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from skugga.selector.belief import SharedVariance
 from skugga.selector.choices import StandaloneRequest
 from skugga.selector.cost.cost_model import predicted_ms
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import (
-    LEAST,
-    LEAST_INTERIOR,
+    ERROR_OFFSET,
+    INTERIOR_OFFSET,
     LEAST_SPREAD,
     ErrorModel,
     ExpectedErrors,
@@ -25,12 +24,13 @@ from skugga.selector.cost.error_model import (
     error_group_of,
     error_groups,
     expected_errors,
-    kinds_of_step,
     log_error,
     log_interior,
     smoothed_ladder,
+    step_castings,
     texel_px_of,
 )
+from skugga.selector.gaussian_estimate import SharedVariance
 from skugga.selector.planner.planner import planner_of
 from skugga.selector.portfolio import portfolio
 from skugga.shadows.maps.settings import PerspectiveMapSettings
@@ -38,7 +38,7 @@ from skugga.shadows.plan import Step
 from skugga.shadows.sweep.sweep import DECIMATED
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
-from skugga.terrain.facts.probes import HALF_A_HIT
+from skugga.terrain.facts.probes import MIN_CAST_SHARE
 from skugga.terrain.level.level import SUN, CasterKind, Shadows
 
 Figures = dict[str, Any]
@@ -133,17 +133,17 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
     """
     cases = [case for case in cases if case.view["error"] != "coverage"]  # that is another figure, and no model's
     mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
-    terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + LEAST)
+    terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + ERROR_OFFSET)
 
     def off(logarithms: np.ndarray) -> np.ndarray:
         beside = DRAWN_BACK * (logarithms - np.log(START))  # what nothing was measured of stays where it is
-        return np.concatenate([np.log(terms.expected(np.exp(logarithms)) + LEAST) - measured, beside])
+        return np.concatenate([np.log(terms.expected(np.exp(logarithms)) + ERROR_OFFSET) - measured, beside])
 
     found = least_squares(off, np.log(START), loss="soft_l1", bounds=(np.log(1e-5), np.log(1e3)))
     model = _model(np.exp(found.x))
     by_itself = {name: [case.error for case in cases if case.error_groups == {name}] for name in EXACT}
     floors = {
-        name: float(np.exp(np.mean(np.log(np.array(own_shares) + LEAST))) - LEAST)
+        name: float(np.exp(np.mean(np.log(np.array(own_shares) + ERROR_OFFSET))) - ERROR_OFFSET)
         for name, own_shares in by_itself.items()
         if own_shares
     }
@@ -151,9 +151,9 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
     inside, spread, inside_spread = {}, {}, {}
     for name in error_groups():
         with_it = [(case, case.expected(model)) for case in cases if name in case.error_groups]
-        spread[name] = _scale([(case.error + LEAST) / (expected.wrong_cast + LEAST) for case, expected in with_it])
+        spread[name] = _scale([(case.error + ERROR_OFFSET) / (expected.wrong_cast + ERROR_OFFSET) for case, expected in with_it])
         interior_rows = [(case.row["interior"], expected.wrong) for case, expected in with_it if case.row["wrong"] > TOLD]
-        shares = [(interior + LEAST_INTERIOR) / (wrong + LEAST_INTERIOR) for interior, wrong in interior_rows]
+        shares = [(interior + INTERIOR_OFFSET) / (wrong + INTERIOR_OFFSET) for interior, wrong in interior_rows]
         inside[name] = float(np.exp(np.mean(np.log(shares)))) if shares else 0.0
         inside_spread[name] = _scale(np.array(shares) / inside[name] if shares else [])
     model = model.model_copy(update={"interior": inside, "spread": spread, "interior_spread": inside_spread})
@@ -219,9 +219,9 @@ class _Terms:
         self._maps = np.array([[float(name in case.algorithms) for name in MAP_ALGORITHMS] for case in cases])
         self._count = len(cases)
         for number, case in enumerate(cases):
-            cast = max(case.descriptor.lights[case.light].cast_share, HALF_A_HIT)
+            cast = max(case.descriptor.lights[case.light].cast_share, MIN_CAST_SHARE)
             for step in case.steps:
-                for kind, casting in kinds_of_step(case.descriptor, case.light, step):
+                for kind, casting in step_castings(case.descriptor, case.light, step):
                     for band in casting.bands:
                         follows = isinstance(step.settings, PerspectiveMapSettings)
                         fixed, narrow = (texel_px_of(case.descriptor, case.light, step, band, px) for px in (1e9, NARROW))

@@ -15,7 +15,7 @@ from benchmarks.selection.probes import recorded
 from benchmarks.selection.views import ViewInstance
 from skugga.selector.candidates import name_of
 from skugga.selector.cost.device_profile import load_profile
-from skugga.selector.measure.compare import NO_CAST, compare, drawn_on, run_light
+from skugga.selector.measure.compare import NO_CAST, compare, picture_blocks, run_light
 from skugga.selector.planner.planner import make_plan, planner_of
 from skugga.selector.portfolio import portfolio
 from skugga.selector.select import select
@@ -96,7 +96,7 @@ def _timed(
     scene: Scene, view: MapView | PerspectiveView, light: str, plans: Mapping[str, Plan], rows: Mapping[str, Figures]
 ) -> dict[str, Figures]:
     """Rows with their median milliseconds: of a perspective view, or of a map's block in the mean."""
-    pictures = drawn_on(scene, view)
+    pictures = picture_blocks(scene, view)
     drawn = {name: plans[choice] for choice, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
     for _ in range(1 + RUNS):

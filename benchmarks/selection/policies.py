@@ -15,7 +15,7 @@ from skugga.selector.candidates import name_of
 from skugga.selector.choices import StandaloneRequest
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel
-from skugga.selector.measure.probing import LightProbe, leader_of, probed
+from skugga.selector.measure.probing import LightProbe, leader_of, probe_options
 from skugga.selector.planner.planner import planner_of
 from skugga.selector.predict import plan_options, predicted_plan
 from skugga.terrain.facts.descriptor import Descriptor
@@ -141,8 +141,8 @@ def replayed(
     known = recorded_options(its, [name if name in one.rows else "" for name in names], record)
     if not known.numbers:
         return None, names
-    prover = RecordedProver(record, names)
-    return probed(known, prover, one.goal.max_error, one.max_ms, budget_s), names
+    prober = RecordedProver(record, names)
+    return probe_options(known, prober, one.goal.max_error, one.max_ms, budget_s), names
 
 
 def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:

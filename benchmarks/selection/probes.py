@@ -9,8 +9,8 @@ from typing import Any
 
 from skugga.selector.candidates import name_of
 from skugga.selector.cost.device_profile import DeviceProfile
-from skugga.selector.measure.probing import Proof
-from skugga.selector.measure.proving import MOST_DOUBLINGS, ProbedPictures, SceneProver
+from skugga.selector.measure.probing import ErrorMeasurement
+from skugga.selector.measure.scene_prober import MOST_DOUBLINGS, ProbedPictures, SceneProber
 from skugga.selector.options import LightOptions
 from skugga.selector.planner.planner import planner_of
 from skugga.selector.predict import plan_options
@@ -35,14 +35,14 @@ def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: st
     effects = options.planner.plan({light: its.options[0].choice}, {}).runs
     start = time.perf_counter()
     pictures = ProbedPictures(scene, view, effects)
-    prover = SceneProver(pictures, options.planner, light, its)
+    prober = SceneProber(pictures, options.planner, light, its)
     assert pictures.drawn
     start_s = time.perf_counter() - start
     rows: dict[str, Figures] = {}
     drawn: list[tuple[int, str]] = []
     for which, option in enumerate(its.options):
         start = time.perf_counter()
-        ms = prover.draw(which)
+        ms = prober.draw(which)
         if ms is not None:
             row = name_of(options.planner.plan({light: option.choice}, {}), light)
             rows[row] = {"ms": ms, "draw_s": time.perf_counter() - start, "proofs": []}
@@ -50,17 +50,17 @@ def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: st
     points_s: list[float] = []
     for step in range(MOST_DOUBLINGS + 1):
         if step:
-            prover.more_points()
+            prober.add_points()
         start = time.perf_counter()
         for number, (which, row) in enumerate(drawn):
-            rows[row]["proofs"].append(list(astuple(prover.proof(which))))
+            rows[row]["proofs"].append(list(astuple(prober.measurement(which))))
             if number == 0:  # the first one pays for the points
                 points_s.append(time.perf_counter() - start + (points_s[-1] if points_s else 0.0))
     return {"start_s": start_s, "points_s": points_s, "rows": rows}
 
 
 class RecordedProver:
-    """A ``skugga.selector.measure.probing.Prover`` that knows what was recorded of a view; ``rows`` names the row of each
+    """A ``skugga.selector.measure.probing.OptionProber`` that knows what was recorded of a view; ``rows`` names the row of each
     option.
     """
 
@@ -83,23 +83,23 @@ class RecordedProver:
 
     def draw_s(self, ms: float) -> float:
         """How long it takes to draw what takes so many milliseconds, seconds."""
-        return SceneProver.draw_s(ms)
+        return SceneProber.draw_s(ms)
 
-    def proof(self, which: int) -> Proof:
+    def measurement(self, which: int) -> ErrorMeasurement:
         """What truth at the points so far said."""
         if self._step is None:
             self._step = 0
             self._elapsed_s += self._record["points_s"][0]
-        return Proof(*self._record["rows"][self._rows[which]]["proofs"][self._step])
+        return ErrorMeasurement(*self._record["rows"][self._rows[which]]["proofs"][self._step])
 
-    def more_points_s(self) -> float | None:
+    def add_points_s(self) -> float | None:
         """How long it would take to ask truth at more points; ``None`` where all of them are known."""
         points_s, step = self._record["points_s"], self._step or 0
         return None if step + 1 == len(points_s) else points_s[step + 1] - points_s[step]
 
-    def more_points(self) -> None:
+    def add_points(self) -> None:
         """Ask truth at more points."""
-        more_s = self.more_points_s()
+        more_s = self.add_points_s()
         assert more_s is not None and self._step is not None
         self._elapsed_s += more_s
         self._step += 1

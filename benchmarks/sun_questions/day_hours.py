@@ -208,8 +208,8 @@ def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
     for name, height_m in (("floor", floor), ("cliff", cliff)):
         dem = dem_of(name, height_m, CLIFF_CELL_M, "EPSG:32632", 5_200_000.0, folder)
         found.append(tool.run(dem)[0][middle])
-    away_m = (CLIFF_COL - np.arange(CLIFF_SHAPE[1])[CLIFF_CHECKED]) * CLIFF_CELL_M
-    expected = hours_before_cliff(*_path(tool.sun, dem), EVERY_S, CLIFF_M, away_m)
+    distance_m = (CLIFF_COL - np.arange(CLIFF_SHAPE[1])[CLIFF_CHECKED]) * CLIFF_CELL_M
+    expected = hours_before_cliff(*_path(tool.sun, dem), EVERY_S, CLIFF_M, distance_m)
     wrong = np.abs(found[1][CLIFF_CHECKED] - expected).mean() * 60.0
     return ConventionCheck(tool.name, float(found[0][middle]), day_length_h(tool.sun, dem), float(wrong))
 

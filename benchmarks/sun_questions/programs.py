@@ -76,7 +76,7 @@ def point(path: str, out: str, x: str, y: str) -> float:
     import numpy as np
 
     from skugga.api.raster_view import raster_view
-    from skugga.shadows.point.horizon import horizon_round, surroundings
+    from skugga.shadows.point.horizon import horizon_profile, load_surroundings
     from skugga.shadows.point.place import place_at
     from skugga.terrain.level.level import load_level
     from skugga.terrain.scene import build_scene
@@ -84,9 +84,9 @@ def point(path: str, out: str, x: str, y: str) -> float:
     scene = build_scene(load_level(Path(path)))
     crs, view = scene.elevation.crs, raster_view(scene).view
     elsewhere = view.grid.x(view.cols / 3.0), view.grid.y(view.rows / 3.0)
-    horizon_round(surroundings(scene, place_at(scene, elsewhere, crs)))
+    horizon_profile(load_surroundings(scene, place_at(scene, elsewhere, crs)))
     start = time.perf_counter()
-    found = horizon_round(surroundings(scene, place_at(scene, (float(x), float(y)), crs)))
+    found = horizon_profile(load_surroundings(scene, place_at(scene, (float(x), float(y)), crs)))
     taken_s = time.perf_counter() - start
     np.save(out, np.stack([found.azimuth_deg, found.elevation_deg]))
     scene.close()

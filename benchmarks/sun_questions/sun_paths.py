@@ -51,13 +51,13 @@ def _angles(hour: np.ndarray, declination: np.ndarray, lat: np.ndarray) -> tuple
 
 
 def hours_before_cliff(
-    azimuth_deg: np.ndarray, altitude_deg: np.ndarray, every_s: float, height_m: float, away_m: np.ndarray
+    azimuth_deg: np.ndarray, altitude_deg: np.ndarray, every_s: float, height_m: float, distance_m: np.ndarray
 ) -> np.ndarray:
     """Hours of sun (n,) on a level floor, so far to the west of an endless cliff that runs north and south, of so many metres.
 
     Towards an azimuth A east of the meridian its edge stands at the angle whose tangent is height sin A / distance.
     """
     eastward = np.maximum(np.sin(np.radians(azimuth_deg)), 0.0)
-    edge_deg = np.degrees(np.arctan(height_m * eastward / away_m[:, None]))
+    edge_deg = np.degrees(np.arctan(height_m * eastward / distance_m[:, None]))
     lit = (altitude_deg > edge_deg) & (altitude_deg > 0.0)
     return np.asarray(lit.sum(axis=1) * every_s / 3600.0)

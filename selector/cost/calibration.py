@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from skugga.selector.cost.calibration_scenes import CalibrationView, calibration_views
-from skugga.selector.cost.cost_model import MS_PER_NS, counts_to_ms, work_of
+from skugga.selector.cost.cost_model import MS_PER_NS, counts_to_ms, step_work
 from skugga.selector.cost.device_profile import DeviceProfile, Residual
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Step
@@ -22,7 +22,7 @@ from skugga.shadows.registry import ALGORITHMS, can_serve
 from skugga.shadows.visibility import fill_steps
 from skugga.shadows.work import Counts
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.antialias import picture_buffer
@@ -57,7 +57,7 @@ class CalibrationJob:
         The step.
     work
         Counts by part of the work.
-    least_ms
+    min_ms
         Least time by part, milliseconds.
     """
 
@@ -66,7 +66,7 @@ class CalibrationJob:
     casters: Casters
     step: Step
     work: dict[str, Counts]
-    least_ms: dict[str, float] = field(default_factory=dict)
+    min_ms: dict[str, float] = field(default_factory=dict)
 
 
 def calibrate(on_step: Progress | None = None) -> DeviceProfile:
@@ -75,8 +75,8 @@ def calibrate(on_step: Progress | None = None) -> DeviceProfile:
     It takes about a minute. ``on_step(done, total)`` reports progress. Raises ``GraphicsError`` without OpenGL.
     """
     start, gl = time.perf_counter(), device()
-    jobs = _measured(start, on_step or (lambda done, total: None))
-    rates = fitted_rates([(job.work[part], part, ms) for job in jobs for part, ms in job.least_ms.items()])
+    jobs = _timed_jobs(start, on_step or (lambda done, total: None))
+    rates = fitted_rates([(job.work[part], part, ms) for job in jobs for part, ms in job.min_ms.items()])
     return DeviceProfile(
         renderer=gl.renderer, version=gl.version, cpus=os.cpu_count() or 1, engine=version("skugga"),
         measured=datetime.now(UTC).replace(microsecond=0), took_s=round(time.perf_counter() - start, 1), rates_ns=rates,
@@ -84,9 +84,9 @@ def calibrate(on_step: Progress | None = None) -> DeviceProfile:
     )  # fmt: skip
 
 
-def _measured(start_s: float, on_step: Progress) -> list[CalibrationJob]:
+def _timed_jobs(start_s: float, on_step: Progress) -> list[CalibrationJob]:
     with tempfile.TemporaryDirectory(prefix="skugga-") as folder:
-        jobs = [job for stage in calibration_views(Path(folder)) for job in calibration_jobs(stage)]
+        jobs = [job for calibration_view in calibration_views(Path(folder)) for job in calibration_jobs(calibration_view)]
         for turn in range(TIMING_ROUNDS):
             for number, job in enumerate(jobs, start=turn * len(jobs) + 1):
                 if turn <= 1 or time.perf_counter() - start_s < LIMIT_S:
@@ -95,26 +95,32 @@ def _measured(start_s: float, on_step: Progress) -> list[CalibrationJob]:
     return jobs
 
 
-def calibration_jobs(stage: CalibrationView) -> list[CalibrationJob]:
+def calibration_jobs(calibration_view: CalibrationView) -> list[CalibrationJob]:
     """Return the jobs of a calibration view."""
-    descriptor = describe(stage.scene, stage.view, stage.name, "points")
-    picture = picture_buffer(stage.scene, stage.view)
-    casters = casters_of(stage.scene, picture.own)
+    descriptor = describe(calibration_view.scene, calibration_view.view, calibration_view.name, "points")
+    picture = picture_buffer(calibration_view.scene, calibration_view.view)
+    casters = find_casters(calibration_view.scene, picture.own)
     return [
         CalibrationJob(
-            stage.scene, picture.buffer, casters, step, work_of(descriptor, step.light, step.kinds, step.algorithm, step.settings)
+            calibration_view.scene,
+            picture.buffer,
+            casters,
+            step,
+            step_work(descriptor, step.light, step.kinds, step.algorithm, step.settings),
         )
-        for step in _steps(descriptor, stage)
+        for step in _steps(descriptor, calibration_view)
     ]
 
 
-def _steps(descriptor: Descriptor, stage: CalibrationView) -> Iterator[Step]:
+def _steps(descriptor: Descriptor, calibration_view: CalibrationView) -> Iterator[Step]:
     """Yield the steps to time on a calibration view: the calibrated settings of each algorithm, for the casters that it serves."""
     for algorithm in ALGORITHMS.values():
-        kinds = tuple(kind for kind in stage.kinds if can_serve(algorithm.name, descriptor, stage.light, kind))
+        kinds = tuple(
+            kind for kind in calibration_view.kinds if can_serve(algorithm.name, descriptor, calibration_view.light, kind)
+        )
         if algorithm.passes and kinds:
-            for settings in algorithm.calibrated(descriptor, stage.light, stage.grid):
-                yield Step(stage.light, kinds, algorithm.name, settings)
+            for settings in algorithm.calibrated(descriptor, calibration_view.light, calibration_view.grid):
+                yield Step(calibration_view.light, kinds, algorithm.name, settings)
 
 
 def _run(job: CalibrationJob) -> None:
@@ -125,15 +131,15 @@ def _run(job: CalibrationJob) -> None:
     left_ms = (time.perf_counter() - start) * 1000.0
     passes_ms = {name.split(": ", 1)[1]: record.ms for name, record in log.records.items()}
     pass_of = ALGORITHMS[step.algorithm].cost.passes
-    *others, last = sorted(job.work, key=lambda part: pass_of.get(_plain(part)) is None)
+    *others, last = sorted(job.work, key=lambda part: pass_of.get(_base_part(part)) is None)
     for part in others:
-        its_ms = passes_ms[pass_of[_plain(part)]]
-        left_ms -= its_ms
-        job.least_ms[part] = min(its_ms, job.least_ms.get(part, np.inf))
-    job.least_ms[last] = min(max(left_ms, 1e-3), job.least_ms.get(last, np.inf))
+        part_ms = passes_ms[pass_of[_base_part(part)]]
+        left_ms -= part_ms
+        job.min_ms[part] = min(part_ms, job.min_ms.get(part, np.inf))
+    job.min_ms[last] = min(max(left_ms, 1e-3), job.min_ms.get(last, np.inf))
 
 
-def _plain(part: str) -> str:
+def _base_part(part: str) -> str:
     return part.split(",")[0]
 
 
@@ -160,7 +166,7 @@ def fit_residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[Calibr
     """Return the relative errors of the rates for the times of whole steps, by algorithm."""
     errors: dict[str, list[float]] = {}
     for job in jobs:
-        real_ms = sum(job.least_ms.values())
+        real_ms = sum(job.min_ms.values())
         expected_ms = sum(counts_to_ms(rates_ns[part], counts) for part, counts in job.work.items())
         errors.setdefault(job.step.algorithm, []).append(abs(expected_ms / real_ms - 1.0))
     return {

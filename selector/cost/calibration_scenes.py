@@ -94,11 +94,19 @@ def calibration_levels(
     yield "wide_hills_map", _level(wide, high_camera, sun=(310, 12)), "map", (448, 448), "sun", ("relief",), "few"
     yield "hills_map", _level(hills, over, sun=(120, 25)), "map", (280, 280), "sun", ("relief",), "full"
     yield "fine_hills_map", _level(fine, down, sun=(250, 15)), "map", (256, 256), "sun", ("relief",), "some"
-    houses = {**_balls(folder, 2, 60, radius_m=12.0), "at": _places(60, 900.0)}
-    grove, wood = _wood(folder, "grove", 400.0, 60.0), _wood(folder, "wood", 1500.0, 130.0)
+    houses = {**_balls(folder, 2, 60, radius_m=12.0), "at": _positions(60, 900.0)}
+    grove, wood = _forest(folder, "grove", 400.0, 60.0), _forest(folder, "wood", 1500.0, 130.0)
     close = _camera([-150, -200, 160], [0, 0, 0])
-    every: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
-    yield "grove", _level(hills, close, meshes=[houses], forest=[grove], sun=(200, 35)), "main", (640, 512), "sun", every, "some"
+    all_kinds: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
+    yield (
+        "grove",
+        _level(hills, close, meshes=[houses], forest=[grove], sun=(200, 35)),
+        "main",
+        (640, 512),
+        "sun",
+        all_kinds,
+        "some",
+    )
     yield "wood", _level(hills, over, forest=[wood], sun=(150, 22)), "main", (400, 320), "sun", ("relief", "forest"), "few"
     above = _camera([10, -50, 70], [0, 0, 0])
     yield "below_in_the_wood", _level(hills, above, forest=[wood], sun=(70, 50)), "main", (400, 320), "sun", ("forest",), "few"
@@ -127,7 +135,7 @@ def _hills(side_m: float, cell_m: float, relief_m: float) -> dict[str, Any]:
     return {"generate": {"kind": "ridges", "size": [side_m, side_m], "cell": cell_m, "relief": relief_m, "seed": 5}}
 
 
-def _places(count: int, side_m: float) -> list[list[float]]:
+def _positions(count: int, side_m: float) -> list[list[float]]:
     """Return evenly spread positions in a square: multiples of the golden ratio along one axis, even steps along the other."""
     number = np.arange(count)
     places = np.stack([(number * 0.6180339887498949) % 1.0 - 0.5, (number + 0.5) / count - 0.5], axis=1)
@@ -140,7 +148,7 @@ def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_M) ->
 
     path = folder / f"ball_{halvings}_{radius_m:g}.ply"
     trimesh.creation.icosphere(subdivisions=halvings, radius=radius_m).export(path)
-    return {"source": path.name, "at": _places(count, 110.0)}
+    return {"source": path.name, "at": _positions(count, 110.0)}
 
 
 def _lattice(folder: Path) -> dict[str, Any]:
@@ -154,7 +162,7 @@ def _lattice(folder: Path) -> dict[str, Any]:
     return {"source": "lattice.ply", "at": [0.0, 0.0]}
 
 
-def _wood(folder: Path, name: str, side_m: float, density: float) -> dict[str, Any]:
+def _forest(folder: Path, name: str, side_m: float, density: float) -> dict[str, Any]:
     """Return a forest of a level: a square of trees, ``density`` trees a hectare."""
     half = side_m / 2.0
     ring = [[-half, -half], [half, -half], [half, half], [-half, half], [-half, -half]]

@@ -19,7 +19,7 @@ from skugga.terrain.level.level import CasterKind
 MS_PER_NS = 1e-6
 
 
-def work_of(
+def step_work(
     descriptor: Descriptor, light: str, kinds: Collection[CasterKind], algorithm: AlgorithmName, settings: AlgorithmSettings | None
 ) -> Work:
     """Return the counts of a step's work by part. The algorithm ``none`` has none."""
@@ -53,7 +53,7 @@ def predicted_parts_ms(
 
     Raises ``UnmeasuredError`` if the profile has no rates for a part.
     """
-    work = work_of(descriptor, light, kinds, algorithm, settings)
+    work = step_work(descriptor, light, kinds, algorithm, settings)
     for part in work:
         if part not in profile.rates_ns:
             raise UnmeasuredError(algorithm, NO_RATES.format(part=part))

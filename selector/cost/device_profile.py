@@ -11,8 +11,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.user_cache import user_cache
-from skugga.terrain.whole_files import write_whole
 
 SCHEMA: Final = 1
 """Changes with the meaning of the rates. Profiles of another schema are not used."""
@@ -65,7 +65,7 @@ def save_profile(profile: DeviceProfile) -> Path:
     """Write a profile to its file by an atomic write. Raises ``OSError`` if the folder cannot be written."""
     path = profile_path(profile.renderer, profile.version)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, profile.model_dump_json(indent=1))
+    write_atomically(path, profile.model_dump_json(indent=1))
     return path
 
 
@@ -102,6 +102,6 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
     return profile
 
 
-def digest_of(device: DeviceProfile | None) -> str:
+def profile_digest(device: DeviceProfile | None) -> str:
     """Return a digest that changes with the calibration; empty without one."""
     return "" if device is None else hashlib.sha256(device.model_dump_json().encode()).hexdigest()[:16]

@@ -27,8 +27,8 @@ from math import log, log2
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from skugga.selector.belief import SharedVariance, logistic_chance_over
 from skugga.selector.cost.unmeasured import NO_ERRORS, UnmeasuredError
+from skugga.selector.gaussian_estimate import SharedVariance, logistic_probability_over
 from skugga.shadows.algorithm import ErrorConstants
 from skugga.shadows.plan import Step
 from skugga.shadows.registry import ALGORITHMS
@@ -36,10 +36,10 @@ from skugga.shadows.truth.metrics import MOST_INTERIOR
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting
-from skugga.terrain.facts.probes import HALF_A_HIT
+from skugga.terrain.facts.probes import MIN_CAST_SHARE
 from skugga.terrain.level.level import CasterKind
 
-UNKNOWN_CASTING = Casting(
+ASSUMED_CASTING = Casting(
     share=0.1,
     bands=(
         CastBand(near_m=0.0, share=1.0, cast=0.1, pixel_m=1.0, differs=tuple(min(0.005 * px, 0.1) for px in TEXEL_LADDER_PX)),
@@ -47,10 +47,10 @@ UNKNOWN_CASTING = Casting(
 )  # fmt: skip
 """Assumed shadows without facts in the descriptor: a tenth of the visible surface, with an edge every hundred pixels."""
 
-POOLED = 3
+POOLED_SIZES = 3
 """Number of texel sizes that are averaged for each size."""
 
-LEAST, LEAST_INTERIOR = 1e-3, 1e-5
+ERROR_OFFSET, INTERIOR_OFFSET = 1e-3, 1e-5
 """Offsets of errors and interior errors before the logarithm."""
 
 LEAST_SPREAD = 0.05
@@ -87,24 +87,24 @@ class ExpectedErrors:
     spread: float
     interior_spread: float
 
-    def chance_over(self, max_error: float) -> float:
+    def probability_over(self, max_error: float) -> float:
         """Return the probability, in [0, 1], that a picture misses a limit.
 
         The limits are ``max_error`` for the wrong share of the cast shadow, and ``MOST_INTERIOR`` for the interior error.
         """
-        error = logistic_chance_over(log_error(self.wrong_cast) - log_error(max_error), self.spread)
-        inside = logistic_chance_over(log_interior(self.interior) - log_interior(MOST_INTERIOR), self.interior_spread)
+        error = logistic_probability_over(log_error(self.wrong_cast) - log_error(max_error), self.spread)
+        inside = logistic_probability_over(log_interior(self.interior) - log_interior(MOST_INTERIOR), self.interior_spread)
         return max(error, inside)  # interior errors are errors, too
 
 
 def log_error(error: float) -> float:
     """Return the logarithm of an error, with an offset."""
-    return log(error + LEAST)
+    return log(error + ERROR_OFFSET)
 
 
 def log_interior(interior: float) -> float:
     """Return the logarithm of an interior error, with an offset."""
-    return log(interior + LEAST_INTERIOR)
+    return log(interior + INTERIOR_OFFSET)
 
 
 class SharedErrors(BaseModel):
@@ -165,7 +165,7 @@ def packaged_model() -> ErrorModel:
 def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> ExpectedErrors:
     """Return the expected errors of all steps of a light together."""
     model = model or packaged_model()
-    return errors_together(descriptor, light, [(step, wrong_of_step(descriptor, light, step, model)) for step in steps], model)
+    return combine_errors(descriptor, light, [(step, step_wrong_share(descriptor, light, step, model)) for step in steps], model)
 
 
 def error_group_of(descriptor: Descriptor, step: Step) -> str:
@@ -179,17 +179,16 @@ def constants_of(descriptor: Descriptor, step: Step, model: ErrorModel) -> Error
     return model.constants(group) or ALGORITHMS[step.algorithm].accuracy.constants.get(group)
 
 
-def wrong_of_step(descriptor: Descriptor, light: str, step: Step, model: ErrorModel) -> float:
-    """Return the share of all visible points that a step is expected to get wrong. Raises the errors of ``errors_together``."""
-    floor = _constants(descriptor, step, model).floor * _cast(descriptor, light)
+def step_wrong_share(descriptor: Descriptor, light: str, step: Step, model: ErrorModel) -> float:
+    """Return the share of all visible points that a step is expected to get wrong. Raises the errors of ``combine_errors``."""
+    floor = _constants(descriptor, step, model).floor * _cast_share(descriptor, light)
     return floor + sum(
-        _of_kind(descriptor, light, step, *kind_casting, model) for kind_casting in kinds_of_step(descriptor, light, step)
+        _wrong_share_of_kind(descriptor, light, step, *kind_casting, model)
+        for kind_casting in step_castings(descriptor, light, step)
     )
 
 
-def errors_together(
-    descriptor: Descriptor, light: str, wrong_of: Iterable[tuple[Step, float]], model: ErrorModel
-) -> ExpectedErrors:
+def combine_errors(descriptor: Descriptor, light: str, wrong_of: Iterable[tuple[Step, float]], model: ErrorModel) -> ExpectedErrors:
     """Return the errors of steps, each with its wrong share. Raises ``UnmeasuredError`` for a step without constants."""
     wrong = interior = spread = interior_spread = 0.0
     for step, step_wrong in wrong_of:
@@ -198,7 +197,7 @@ def errors_together(
         wrong, spread = wrong + step_wrong, spread + step_wrong * constants.spread
         interior, interior_spread = interior + inside, interior_spread + inside * constants.interior_spread
     return ExpectedErrors(
-        min(wrong, 1.0), min(wrong / _cast(descriptor, light), 1.0), min(interior, 1.0),
+        min(wrong, 1.0), min(wrong / _cast_share(descriptor, light), 1.0), min(interior, 1.0),
         spread / wrong if wrong > 0.0 else LEAST_SPREAD, interior_spread / interior if interior > 0.0 else LEAST_SPREAD,
     )  # fmt: skip
 
@@ -210,19 +209,21 @@ def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorCo
     return found
 
 
-def _cast(descriptor: Descriptor, light: str) -> float:
+def _cast_share(descriptor: Descriptor, light: str) -> float:
     """Return the share of the visible surface in cast shadow, or an assumption about it."""
     facts = descriptor.lights.get(light)
-    return max(UNKNOWN_CASTING.share if facts is None else facts.cast_share, HALF_A_HIT)
+    return max(ASSUMED_CASTING.share if facts is None else facts.cast_share, MIN_CAST_SHARE)
 
 
-def kinds_of_step(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:
-    """Return the shadows of a step's kinds of casters; ``UNKNOWN_CASTING`` if the descriptor has no facts of the light."""
+def step_castings(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:
+    """Return the shadows of a step's kinds of casters; ``ASSUMED_CASTING`` if the descriptor has no facts of the light."""
     casts = descriptor.lights[light].casts if light in descriptor.lights else {}
-    return [(kind, casts.get(kind, UNKNOWN_CASTING)) for kind in step.kinds if not casts or kind in casts]
+    return [(kind, casts.get(kind, ASSUMED_CASTING)) for kind in step.kinds if not casts or kind in casts]
 
 
-def _of_kind(descriptor: Descriptor, light: str, step: Step, kind: CasterKind, casting: Casting, model: ErrorModel) -> float:
+def _wrong_share_of_kind(
+    descriptor: Descriptor, light: str, step: Step, kind: CasterKind, casting: Casting, model: ErrorModel
+) -> float:
     """Return the share of all visible points where one kind's shadows are wrong."""
     accuracy = ALGORITHMS[step.algorithm].accuracy
     if accuracy.wrong_share is not None:
@@ -231,7 +232,7 @@ def _of_kind(descriptor: Descriptor, light: str, step: Step, kind: CasterKind, c
     for band in casting.bands:
         texel_px = texel_px_of(descriptor, light, step, band, model.perspective)
         if texel_px > 0.0:
-            wrong += band.share * _differs(band, texel_px) * model.counted[kind].of(texel_px)
+            wrong += band.share * _interpolated_difference(band, texel_px) * model.counted[kind].of(texel_px)
     return wrong
 
 
@@ -248,17 +249,17 @@ def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, 
 def smoothed_ladder(differs: tuple[float, ...]) -> tuple[float, ...]:
     """Return ``differs`` with less noise.
 
-    The differing share grows about in proportion to a texel's side. So each value is estimated from the next ``POOLED`` sizes
+    The differing share grows about in proportion to a texel's side. So each value is estimated from the next ``POOLED_SIZES`` sizes
     together; the larger ones have most of the observations.
     """
-    sides = [sum(TEXEL_LADDER_PX[k : k + POOLED]) for k in range(len(TEXEL_LADDER_PX))]
-    window_sums = [sum(differs[k : k + POOLED]) for k in range(len(TEXEL_LADDER_PX))]
+    sides = [sum(TEXEL_LADDER_PX[k : k + POOLED_SIZES]) for k in range(len(TEXEL_LADDER_PX))]
+    window_sums = [sum(differs[k : k + POOLED_SIZES]) for k in range(len(TEXEL_LADDER_PX))]
     return tuple(
         min(px * part / window_side, 1.0) for px, part, window_side in zip(TEXEL_LADDER_PX, window_sums, sides, strict=True)
     )
 
 
-def _differs(band: CastBand, texel_px: float) -> float:
+def _interpolated_difference(band: CastBand, texel_px: float) -> float:
     """Interpolate ``differs`` between the texel sizes of the ladder. Below the smallest size it is proportional."""
     differs = smoothed_ladder(band.differs)
     if texel_px <= TEXEL_LADDER_PX[0]:

@@ -15,14 +15,14 @@ from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import bands_of
 from skugga.shadows.truth import truth as truth_module
-from skugga.shadows.truth.metrics import errors_of
+from skugga.shadows.truth.metrics import error_metrics
 from skugga.shadows.visibility import fill_steps, with_apparent_sun
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
@@ -201,43 +201,43 @@ def compare(
         A name or a light is unknown.
     """
     start = time.perf_counter()
-    light = _light(scene, light)
-    given, default = plans is not None or bool(only), ""
+    light = _check_light(scene, light)
+    is_explicit, default = plans is not None or bool(only), ""
     if plans is None:
         plans = candidates(scene, view, name, light)
         default = name_of(plans[0], light) if plans else ""
-        plans = _named(plans, light, only)
+        plans = _select_plans(plans, light, only)
     total = len(plans) + ROW_REPEATS + 2
     step = on_step or (lambda done, total_steps: None)
     effects = frozenset().union(*(plan.runs for plan in plans))
     scene = with_apparent_sun(scene, effects)
     view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, effects)
-    pictures = drawn_on(scene, view)
+    pictures = picture_blocks(scene, view)
     step(1, total)
-    first = view_truth.grounds[0]
+    first = view_truth.blocks[0]
     floor = _noise_floor(scene, view_truth)
     surface = truth_module.surface_error(first.buffer, scene, first.casters)
     step(2, total)
     pixel_m = describe(scene, view, name, "points").pixel_m
     trials: list[TimedPlan] = []
     left_out: list[str] = []
-    took_s: dict[str, float] = {}
+    draw_times_s: dict[str, float] = {}
     for done, plan in enumerate(plans, start=3):
         began_s, names = time.perf_counter() - start, set(plan.algorithm.get(light, {}).values())
-        ends_s = began_s + max((took_s.get(algorithm, 0.0) for algorithm in names), default=0.0)
-        if not given and names <= took_s.keys() and ends_s > ROWS_SHARE * time_limit_s:
+        ends_s = began_s + max((draw_times_s.get(algorithm, 0.0) for algorithm in names), default=0.0)
+        if not is_explicit and names <= draw_times_s.keys() and ends_s > ROWS_SHARE * time_limit_s:
             left_out.append(name_of(plan, light))
         else:
-            trials.append(_trial(scene, view_truth, pictures, plan, pixel_m))
+            trials.append(_first_run(scene, view_truth, pictures, plan, pixel_m))
             trial_s = time.perf_counter() - start - began_s
-            took_s |= {algorithm: min(trial_s, took_s.get(algorithm, trial_s)) for algorithm in names}
+            draw_times_s |= {algorithm: min(trial_s, draw_times_s.get(algorithm, trial_s)) for algorithm in names}
         step(done, total)
     for turn in range(ROW_REPEATS):
         for trial in sorted(trials, key=lambda trial: trial.first[0]) if view_truth.whole.there.any() else []:
             if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
                 trial.later.append(run_light(scene, pictures, trial.plan, light).times)
         step(len(plans) + 3 + turn, total)
-    rows = [_timed(trial) for trial in trials]
+    rows = [_with_times(trial) for trial in trials]
     _mark_pareto(rows, view_truth.error)
     remarks = _remarks(scene, view_truth, rows)
     return Comparison(
@@ -253,12 +253,12 @@ def measure_plan(
 
     Its time is that of ``repeats`` runs after the first one, or of the first one alone.
     """
-    scene, light = with_apparent_sun(scene, plan.runs), _light(scene, light)
+    scene, light = with_apparent_sun(scene, plan.runs), _check_light(scene, light)
     view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.runs)
-    pictures = drawn_on(scene, view)
-    trial = _trial(scene, view_truth, pictures, plan, describe(scene, view, plan.view, "points").pixel_m)
+    pictures = picture_blocks(scene, view)
+    trial = _first_run(scene, view_truth, pictures, plan, describe(scene, view, plan.view, "points").pixel_m)
     trial.later.extend(run_light(scene, pictures, plan, light).times for _ in range(repeats))
-    return _timed(trial)
+    return _with_times(trial)
 
 
 def false_colours(base: np.ndarray, row: ComparisonRow) -> np.ndarray:
@@ -269,13 +269,13 @@ def false_colours(base: np.ndarray, row: ComparisonRow) -> np.ndarray:
     return np.clip(out, 0, 255).astype(np.uint8)
 
 
-def _light(scene: Scene, light: str | None) -> str:
+def _check_light(scene: Scene, light: str | None) -> str:
     if light is not None and light not in scene.light_names:
         raise InputError("light", light, ", ".join(scene.light_names) or "none (the level has no lights)")
     return light or (*scene.light_names, SUN)[0]
 
 
-def _named(plans: list[Plan], light: str, names: Collection[str]) -> list[Plan]:
+def _select_plans(plans: list[Plan], light: str, names: Collection[str]) -> list[Plan]:
     """Return the plans with some names, or all of them without names."""
     by_name = {name_of(plan, light): plan for plan in plans}
     for name in names:
@@ -286,31 +286,31 @@ def _named(plans: list[Plan], light: str, names: Collection[str]) -> list[Plan]:
 
 def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
     """Return the error of truth with sub-samples of another seed (their majority or their share) against truth."""
-    light = view_truth.grounds[0].light
+    light = view_truth.blocks[0].light
     if (light == SUN and not scene.sun_is_up) or not view_truth.whole.there.any():
         return 0.0
     votes = []
-    for ground in view_truth.grounds:
+    for ground in view_truth.blocks:
         rays = truth_module.ray_scene(ground.buffer, scene, ground.casters, truth_module.ALL_KINDS)
         count = np.zeros(ground.buffer.there.shape, np.float32)
-        for sub_view in truth_module.sub_views(ground.buffer.view, TRUTH_SAMPLES, seed=1):
-            sample = geometry_of(scene, sub_view, ground.buffer.frame)
-            count += truth_module.lit_from(sample, scene, light, rays)
+        for sub_view in truth_module.jittered_views(ground.buffer.view, TRUTH_SAMPLES, seed=1):
+            sample = geometry_buffer(scene, sub_view, ground.buffer.frame)
+            count += truth_module.lit_mask(sample, scene, light, rays)
         votes.append(np.where(ground.buffer.there, count / TRUTH_SAMPLES, np.nan))
     if view_truth.error == "coverage":
         return view_truth.coverage(votes)
-    return errors_of(view_truth.pasted(votes, np.nan), view_truth.whole, 1.0).wrong_cast
+    return error_metrics(view_truth.assembled(votes, np.nan), view_truth.whole, 1.0).wrong_cast
 
 
-def _trial(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], plan: Plan, pixel_m: float) -> TimedPlan:
+def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], plan: Plan, pixel_m: float) -> TimedPlan:
     """Return a plan's first run with its errors, but without its final times."""
-    light, truth = view_truth.grounds[0].light, view_truth.whole
+    light, truth = view_truth.blocks[0].light, view_truth.whole
     run = run_light(scene, pictures, plan, light)
-    for ground, part in zip(view_truth.grounds, run.parts, strict=True):
+    for ground, part in zip(view_truth.blocks, run.parts, strict=True):
         part[ground.attached] = 0.0
         part[~ground.buffer.there] = np.nan
     errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m, soft=True)
-    shown_visibility = np.nan_to_num(view_truth.pasted(run.parts, np.nan), nan=1.0)
+    shown_visibility = np.nan_to_num(view_truth.assembled(run.parts, np.nan), nan=1.0)
     dark, true_dark = shown_visibility < 0.5, ~truth.lit
     records = run.log.records.values()
     figures = {
@@ -328,14 +328,14 @@ def _trial(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], 
     return TimedPlan(plan, row, run.times)
 
 
-def drawn_on(scene: Scene, view: View) -> list[DrawnBlock]:
+def picture_blocks(scene: Scene, view: View) -> list[DrawnBlock]:
     """Return the geometry and the casters of a view, with samples at edges.
 
     The view is cut into blocks or bands as in ``render_frame``.
     """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     pictures = [picture_buffer(scene, part) for part, _, _ in parts]
-    return [(picture, casters_of(scene, picture.own)) for picture in pictures]
+    return [(picture, find_casters(scene, picture.own)) for picture in pictures]
 
 
 def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: str) -> TimedRun:
@@ -357,7 +357,7 @@ def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: s
     return TimedRun((ms, stages), parts, log)
 
 
-def _timed(trial: TimedPlan) -> ComparisonRow:
+def _with_times(trial: TimedPlan) -> ComparisonRow:
     """Return the row with its times.
 
     The first run counts only without later runs, because it includes compilation and allocation.

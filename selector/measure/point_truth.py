@@ -15,12 +15,12 @@ from math import sqrt
 import numpy as np
 
 from skugga.selector.measure.footprint import texel_footprint_px
-from skugga.selector.measure.probing import SURE_Z
+from skugga.selector.measure.probing import INTERVAL_Z
 from skugga.selector.measure.view_truth import TRUTH_SAMPLES
 from skugga.shadows.attached import attached
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import INTERIOR_PX, far_from_edges, seen_from
-from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene, sample_nodes, truth_of
+from skugga.shadows.truth.metrics import INTERIOR_PX, edge_test_region, far_from_edges
+from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_mask, ray_scene, sample_nodes, trace_truth
 from skugga.shadows.visibility import without_hidden_points
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.casters.reach import Casters
@@ -66,7 +66,7 @@ class PointCounts:
         return self.decided, self.wrong, self.cast, self.wrong_cast, self.inside
 
 
-def share_interval(part: int, total: int, z: float = SURE_Z) -> tuple[float, float]:
+def share_interval(part: int, total: int, z: float = INTERVAL_Z) -> tuple[float, float]:
     """Return the Wilson score interval of a share, for ``part`` of ``total`` observations.
 
     The source is E. B. Wilson, Probable inference, the law of succession, and statistical inference, 1927. The interval is 0 to 1
@@ -113,7 +113,7 @@ class Lattice:
     every: int
     truth: Truth
 
-    def of_picture(self, values: np.ndarray) -> np.ndarray:
+    def at_points(self, values: np.ndarray) -> np.ndarray:
         """Return a picture's values (rows, cols) at the points."""
         return values[self.first[0] :: self.every, self.first[1] :: self.every]
 
@@ -134,10 +134,10 @@ class PictureTruth:
         while rows * cols / (2 * self.every) ** 2 >= LATTICE_POINTS:
             self.every *= 2
         self.attached = attached(picture, scene, light)
-        self._asked, self._dark = np.zeros((rows, cols), bool), np.zeros((rows, cols), bool)
+        self._traced, self._dark = np.zeros((rows, cols), bool), np.zeros((rows, cols), bool)
 
     @property
-    def lattices(self) -> int:
+    def lattice_count(self) -> int:
         """The number of lattices."""
         return self.every**2
 
@@ -149,7 +149,7 @@ class PictureTruth:
         """Return one lattice."""
         first = lattice_offsets(self.every)[number]
         full = subsampled_points(self.picture, self.every, first)
-        truth = truth_of(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays, nodes=self.nodes)
+        truth = trace_truth(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays, nodes=self.nodes)
         buffer = without_hidden_points(full, self.scene, self.light, self._effects)
         if buffer is not full:
             truth = replace(truth, decidable=truth.decidable & buffer.there, there=truth.there & buffer.there)
@@ -173,13 +173,13 @@ class PictureTruth:
         ``pixel_m`` is a pixel's side.
         """
         truth = lattice.truth
-        dark, true_dark = lattice.of_picture(dark) & truth.there, ~truth.lit & truth.there
+        dark, true_dark = lattice.at_points(dark) & truth.there, ~truth.lit & truth.there
         wrong = truth.decidable & (dark != true_dark)
         cast = truth.decidable & (dark | true_dark) & ~truth.attached
-        decided, its_wrong, its_cast, wrong_cast = (
+        decided, wrong_count, cast_count, wrong_cast = (
             int(np.count_nonzero(which)) for which in (truth.decidable, wrong, cast, wrong & cast)
         )
-        return PointCounts(decided, its_wrong, its_cast, wrong_cast, self._inside(lattice, wrong, steps, pixel_m))
+        return PointCounts(decided, wrong_count, cast_count, wrong_cast, self._inside(lattice, wrong, steps, pixel_m))
 
     def _inside(self, lattice: Lattice, wrong: np.ndarray, steps: Sequence[Step], pixel_m: float) -> int:
         """Return the number of wrong points (rows, cols) inside truth's shadows or lit areas."""
@@ -189,12 +189,12 @@ class PictureTruth:
         texel_px = np.max([texel_footprint_px(self.scene, step, lattice.buffer, pixel_m) for step in drawing], axis=0)
         distance_px = np.maximum(INTERIOR_PX, 2.0 * texel_px[wrong]).astype(np.float64)
         row, col = (first + lattice.every * index for first, index in zip(lattice.first, np.nonzero(wrong), strict=True))
-        self._ask(seen_from(row, col, distance_px, self.picture.there.shape))
+        self._trace(edge_test_region(row, col, distance_px, self.picture.there.shape))
         return int(np.count_nonzero(far_from_edges(self._dark, self.picture.there, row, col, distance_px)))
 
-    def _ask(self, pixels: np.ndarray) -> None:
+    def _trace(self, pixels: np.ndarray) -> None:
         """Trace one ray for each of some pixels (rows, cols), and store truth's class."""
-        new = pixels & self.picture.there & ~self._asked
+        new = pixels & self.picture.there & ~self._traced
         if new.any():
-            self._dark |= new & ~lit_from(self.picture, self.scene, self.light, self.rays, wanted=new)
-            self._asked |= new
+            self._dark |= new & ~lit_mask(self.picture, self.scene, self.light, self.rays, receiver_mask=new)
+            self._traced |= new

@@ -9,14 +9,14 @@ from typing import Any
 from skugga.selector.choices import PlanRequest, PolicyName
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel
-from skugga.selector.cost.usual_device import uncalibrated_model, usual_device
+from skugga.selector.cost.typical_device import typical_device, uncalibrated_model
 from skugga.selector.formatting import format_duration, format_percent
-from skugga.selector.measure.probing import LightProbe, Proof, leader_of, probed
-from skugga.selector.measure.proving import ProbedPictures, SceneProver
+from skugga.selector.measure.probing import ErrorMeasurement, LightProbe, leader_of, probe_options
+from skugga.selector.measure.scene_prober import ProbedPictures, SceneProber
 from skugga.selector.measure.view_truth import View
+from skugga.selector.observation import Observation
 from skugga.selector.planner.planner import make_plan, planner_of
-from skugga.selector.predict import PlanOptions, plan_of, plan_options
-from skugga.selector.seen import Seen
+from skugga.selector.predict import PlanOptions, plan_from_options, plan_options
 from skugga.shadows.algorithm import Reasoned
 from skugga.shadows.plan import Plan
 from skugga.terrain.describe import describe
@@ -41,7 +41,7 @@ class ProbedView:
     """
 
     plan: Plan
-    seen: Mapping[str, tuple[Seen, ...]]
+    seen: Mapping[str, tuple[Observation, ...]]
 
 
 def probed_plan(
@@ -93,55 +93,57 @@ def probed_plan(
     plan_request = plan_request or scene.loaded.level
     descriptor = describe(scene, view, name, "points")
     model = errors if device is not None else uncalibrated_model(errors)
-    options = plan_options(planner_of(descriptor, plan_request, overrides), device or usual_device(), model)
+    options = plan_options(planner_of(descriptor, plan_request, overrides), device or typical_device(), model)
     pictures = ProbedPictures(scene, view, make_plan(descriptor, plan_request, overrides, choices={}).runs)
     probes: dict[str, LightProbe] = {}
-    for number, (light, its) in enumerate(options.lights.items()):
-        if not its.numbers:
+    for number, (light, light_options) in enumerate(options.lights.items()):
+        if not light_options.numbers:
             continue
         left_s = None
         if budget_s is not None:
             left_s = (budget_s - sum(probe.seconds for probe in probes.values())) / (len(options.lights) - number)
-        prover = SceneProver(pictures, options.planner, light, its)
-        probes[light] = probed(its, prover, options.max_error, options.shares_ms()[light], left_s, on_step)
+        prober = SceneProber(pictures, options.planner, light, light_options)
+        probes[light] = probe_options(light_options, prober, options.max_error, options.time_limits_ms()[light], left_s, on_step)
         options = replace(options, lights={**options.lights, light: probes[light].options})
     policy: PolicyName = "measure" if budget_s is None else "probe"
     reasons = [] if device is not None else [Reasoned(name=f"policy {policy}", reason=UNCALIBRATED_PROBE)]
     reasons += [reason for light, probe in probes.items() for reason in _reasons(options, light, probe)]
-    plan = plan_of(options, policy, reasons)
+    plan = plan_from_options(options, policy, reasons)
     return ProbedView(plan, {light: tuple(probe.options.seen.values()) for light, probe in probes.items()})
 
 
 def _reasons(options: PlanOptions, light: str, probe: LightProbe) -> list[Reasoned]:
     """Return the drawn candidates of a light, their results and the change that they made."""
-    its, reasons = probe.options, []
-    expected = {each.choice.name: each for each in its.options}
-    for which, (ms, proof) in probe.drawn.items():
-        name = its.options[which].choice.name
+    light_options, reasons = probe.options, []
+    expected = {each.choice.name: each for each in light_options.options}
+    for which, (ms, measurement) in probe.drawn.items():
+        name = light_options.options[which].choice.name
         before = f"expected: {format_percent(expected[name].errors.wrong_cast)} in {format_duration(expected[name].ms)}"
-        reasons.append(Reasoned(name=f"{light}: probed {name}", reason=f"{_shown(proof)} in {format_duration(ms)} ({before})"))
-    return [*reasons, Reasoned(name=f"{light}: probe", reason=_verdict(options, light, probe))]
+        reasons.append(
+            Reasoned(name=f"{light}: probed {name}", reason=f"{_errors_text(measurement)} in {format_duration(ms)} ({before})")
+        )
+    return [*reasons, Reasoned(name=f"{light}: probe", reason=_result_text(options, light, probe))]
 
 
-def _shown(proof: Proof) -> str:
+def _errors_text(measurement: ErrorMeasurement) -> str:
     """Return a picture's errors in words."""
-    text = f"{format_percent(proof.error)} wrong"
-    if proof.high > proof.low:
-        text += f" ({format_percent(proof.low)} to {format_percent(proof.high)} with 95 % confidence)"
-    return f"{text} of {proof.points} points in cast shadow, {format_percent(proof.interior)} of all points wrong far from edges"
+    text = f"{format_percent(measurement.error)} wrong"
+    if measurement.high > measurement.low:
+        text += f" ({format_percent(measurement.low)} to {format_percent(measurement.high)} with 95 % confidence)"
+    return f"{text} of {measurement.points} points in cast shadow, {format_percent(measurement.interior)} of all points wrong far from edges"
 
 
-def _verdict(options: PlanOptions, light: str, probe: LightProbe) -> str:
+def _result_text(options: PlanOptions, light: str, probe: LightProbe) -> str:
     """Return the result of a probe in words."""
-    its, max_error = probe.options, options.max_error
+    light_options, max_error = probe.options, options.max_error
     drawn = len(probe.drawn)
-    text = f"{drawn} of {len(its.options)} candidates drawn and compared with truth in {format_duration(1000.0 * probe.seconds)}: "
-    if not its.numbers:
+    text = f"{drawn} of {len(light_options.options)} candidates drawn and compared with truth in {format_duration(1000.0 * probe.seconds)}: "
+    if not light_options.numbers:
         return text + "no candidate can draw this view"
-    leader = leader_of(its, max_error, options.shares_ms()[light])
-    before, now = (its.options[which].choice.name for which in (probe.leader_before, leader))
+    leader = leader_of(light_options, max_error, options.time_limits_ms()[light])
+    before, now = (light_options.options[which].choice.name for which in (probe.initial_leader, leader))
     text += f"the choice remains {now}" if before == now else f"the choice is {now} instead of {before}"
-    chance = its.miss_chance(leader, max_error)
+    chance = light_options.miss_chance(leader, max_error)
     limit = format_percent(max_error)
     if leader not in probe.drawn:
         return f"{text}; no time was left to draw it: it stays within {limit} with a chance of {format_percent(1.0 - chance)}"

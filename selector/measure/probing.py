@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 from math import erf, exp, log, sqrt
 from typing import Protocol
 
-from skugga.selector.belief import Belief
 from skugga.selector.cost.error_model import log_error, log_interior
 from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
+from skugga.selector.gaussian_estimate import GaussianEstimate
+from skugga.selector.observation import Observation
 from skugga.selector.options import LightOptions
 from skugga.selector.ranking import relative_overshoot
-from skugga.selector.seen import Seen
 from skugga.shadows.truth.metrics import MOST_INTERIOR
 
 LEAST_SAVING = 0.03
@@ -37,16 +37,16 @@ In 77 views of ``benchmarks/selection`` the times of probes differ from those of
 and by 0.14 overall.
 """
 
-SURE_Z = 1.96
+INTERVAL_Z = 1.96
 """Standard errors between a share and the limits of its 95 % interval."""
 
-PLAIN_Z, LEAST_NOISE = 2.58, 1e-9
+DECIDED_Z, LEAST_NOISE = 2.58, 1e-9
 """Standard errors between an error and its limit, at least, of a decided verdict (99 in 100 cases), and the least standard error.
 """
 
 
 @dataclass(frozen=True)
-class Proof:
+class ErrorMeasurement:
     """Errors of a picture according to truth at points, with 95 % intervals.
 
     Attributes
@@ -79,25 +79,25 @@ class Proof:
         """Return whether it is decided that a picture stays within ``max_error`` and ``MOST_INTERIOR``, or that it does not."""
         over = (log_error(self.error) - log_error(max_error)) / max(self._error_noise, LEAST_NOISE)
         inside_over = (log_interior(self.interior) - log_interior(MOST_INTERIOR)) / max(self._interior_noise, LEAST_NOISE)
-        return max(over, inside_over) < -PLAIN_Z or over > PLAIN_Z or inside_over > PLAIN_Z
+        return max(over, inside_over) < -DECIDED_Z or over > DECIDED_Z or inside_over > DECIDED_Z
 
     @property
     def _error_noise(self) -> float:
-        return (log_error(self.high) - log_error(self.low)) / (2.0 * SURE_Z)
+        return (log_error(self.high) - log_error(self.low)) / (2.0 * INTERVAL_Z)
 
     @property
     def _interior_noise(self) -> float:
-        return (log_interior(self.interior_high) - log_interior(self.interior_low)) / (2.0 * SURE_Z)
+        return (log_interior(self.interior_high) - log_interior(self.interior_low)) / (2.0 * INTERVAL_Z)
 
-    def seen(self, choice: str, ms: float) -> Seen:
+    def seen(self, choice: str, ms: float) -> Observation:
         """Return this as an observation of a choice that took ``ms`` milliseconds."""
-        return Seen(
+        return Observation(
             choice=choice, error=self.error, error_noise=self._error_noise, interior=self.interior,
             interior_noise=self._interior_noise, ms=ms, ms_noise=TIME_NOISE,
         )  # fmt: skip
 
 
-class Prover(Protocol):
+class OptionProber(Protocol):
     """Draws a light's options, by number, and compares them with truth at points."""
 
     def elapsed_s(self) -> float:
@@ -109,13 +109,13 @@ class Prover(Protocol):
     def draw_s(self, ms: float) -> float:
         """Return the expected seconds to draw an option that takes ``ms`` milliseconds."""
 
-    def proof(self, which: int) -> Proof:
+    def measurement(self, which: int) -> ErrorMeasurement:
         """Return the errors of a drawn option according to truth at the points so far."""
 
-    def more_points_s(self) -> float | None:
+    def add_points_s(self) -> float | None:
         """Return the expected seconds to compute truth at more points; ``None`` if it is known at all points."""
 
-    def more_points(self) -> None:
+    def add_points(self) -> None:
         """Request truth at more points."""
 
 
@@ -129,7 +129,7 @@ class LightProbe:
         The options, corrected by the observations.
     drawn
         Milliseconds and proofs of the drawn options by number, in order.
-    leader_before
+    initial_leader
         Number of the leader before the probe.
     seconds
         Time of the probe.
@@ -138,15 +138,15 @@ class LightProbe:
     """
 
     options: LightOptions
-    drawn: dict[int, tuple[float, Proof]]
-    leader_before: int
+    drawn: dict[int, tuple[float, ErrorMeasurement]]
+    initial_leader: int
     seconds: float
     confirmed: bool
 
 
-def probed(
+def probe_options(
     prior: LightOptions,
-    prover: Prover,
+    prober: OptionProber,
     max_error: float,
     max_ms: float | None = None,
     budget_s: float | None = None,
@@ -159,40 +159,44 @@ def probed(
     """
     drawn_ms: dict[int, float] = {}
     least_gain = LEAST_SAVING if budget_s is not None else LEAST_SAVING_UNLIMITED
-    leader_before = leader_of(prior, max_error, max_ms)
+    initial_leader = leader_of(prior, max_error, max_ms)
 
     def has_time(seconds: float) -> bool:
-        return budget_s is None or not drawn_ms or prover.elapsed_s() + seconds <= budget_s
+        return budget_s is None or not drawn_ms or prober.elapsed_s() + seconds <= budget_s
 
     while True:
-        proofs = {which: prover.proof(which) for which in drawn_ms}
-        now = prior.after(proof.seen(prior.options[which].choice.name, drawn_ms[which]) for which, proof in proofs.items())
-        leader = leader_of(now, max_error, max_ms) if now.numbers else None
-        more_s = prover.more_points_s() if drawn_ms else None
-        open_ones = {which for which, proof in proofs.items() if more_s is not None and not proof.decides(max_error)}
-        if leader in proofs:
-            gains = _gains(now, leader, (set(now.numbers) - set(drawn_ms)) | open_ones, max_error, max_ms)
-            following = leader if leader in open_ones else _most(gains, least_gain)
+        measurements = {which: prober.measurement(which) for which in drawn_ms}
+        posterior = prior.after(
+            measurement.seen(prior.options[which].choice.name, drawn_ms[which]) for which, measurement in measurements.items()
+        )
+        leader = leader_of(posterior, max_error, max_ms) if posterior.numbers else None
+        more_s = prober.add_points_s() if drawn_ms else None
+        undecided = {
+            which for which, measurement in measurements.items() if more_s is not None and not measurement.decides(max_error)
+        }
+        if leader in measurements:
+            gains = _gains(posterior, leader, (set(posterior.numbers) - set(drawn_ms)) | undecided, max_error, max_ms)
+            next_option = leader if leader in undecided else _largest_gain(gains, least_gain)
         else:
-            following = leader
-            if leader is not None and more_s is not None and more_s < prover.draw_s(now.figures(leader).ms):
-                opened = _most(_gains(now, leader, open_ones, max_error, max_ms), least_gain)
-                following = leader if opened is None else opened
-        step_s = 0.0 if following is None else prover.draw_s(now.figures(following).ms)
-        if following is not None and following in drawn_ms:
+            next_option = leader
+            if leader is not None and more_s is not None and more_s < prober.draw_s(posterior.figures(leader).ms):
+                opened = _largest_gain(_gains(posterior, leader, undecided, max_error, max_ms), least_gain)
+                next_option = leader if opened is None else opened
+        step_s = 0.0 if next_option is None else prober.draw_s(posterior.figures(next_option).ms)
+        if next_option is not None and next_option in drawn_ms:
             assert more_s is not None
             step_s = more_s
-        if following is None or not has_time(step_s):
-            drawn = {which: (ms, proofs[which]) for which, ms in drawn_ms.items()}
-            return LightProbe(now, drawn, leader_before, prover.elapsed_s(), leader in proofs and following is None)
-        if following in drawn_ms:
-            prover.more_points()
+        if next_option is None or not has_time(step_s):
+            drawn = {which: (ms, measurements[which]) for which, ms in drawn_ms.items()}
+            return LightProbe(posterior, drawn, initial_leader, prober.elapsed_s(), leader in measurements and next_option is None)
+        if next_option in drawn_ms:
+            prober.add_points()
             continue
-        ms = prover.draw(following)
+        ms = prober.draw(next_option)
         if ms is None:
-            prior = replace(prior, refused=prior.refused | {following})
+            prior = replace(prior, refused=prior.refused | {next_option})
         else:
-            drawn_ms[following] = ms
+            drawn_ms[next_option] = ms
             on_step(len(drawn_ms))
 
 
@@ -206,7 +210,7 @@ def _gains(options: LightOptions, leader: int, others: Collection[int], max_erro
     return {which: expected_gain(options, which, leader, max_error, max_ms) for which in sorted(others) if which != leader}
 
 
-def _most(gains: Mapping[int, float], least_gain: float) -> int | None:
+def _largest_gain(gains: Mapping[int, float], least_gain: float) -> int | None:
     """Return the option with the largest gain, if it exceeds ``least_gain``. Of equal gains the first option counts."""
     best = max(gains, key=lambda which: (gains[which], -which), default=None)
     return best if best is not None and gains[best] > least_gain else None
@@ -218,18 +222,18 @@ def expected_gain(options: LightOptions, which: int, leader: int, max_error: flo
     The gain is a share of the leader's time, or of its error if the leader misses the target. A worse result counts as a gain of 0,
     because the leader is kept then.
     """
-    its, first = (options.forecast(number, max_error) for number in (which, leader))
-    meets = 1.0 - its.miss_chance(max_ms)
-    if first.miss_chance(max_ms) <= LIKELY_MISS_CHANCE:
-        return meets * _expected_saving(options.time, which, log(max(first.figures.ms, 1e-9)))
+    candidate, leader_forecast = (options.forecast(number, max_error) for number in (which, leader))
+    meets = 1.0 - candidate.miss_chance(max_ms)
+    if leader_forecast.miss_chance(max_ms) <= LIKELY_MISS_CHANCE:
+        return meets * _expected_saving(options.time, which, log(max(leader_forecast.figures.ms, 1e-9)))
     # An option that meets a target which the leader misses has the largest gain; otherwise the smaller error counts.
-    in_time = 1.0 - its.late_chance(max_ms)
-    over = relative_overshoot(first.figures, max_error, max_ms)
-    nearer = _expected_saving(options.error, which, log_error(first.figures.error)) if over > 0.0 else 0.0
+    in_time = 1.0 - candidate.late_chance(max_ms)
+    over = relative_overshoot(leader_forecast.figures, max_error, max_ms)
+    nearer = _expected_saving(options.error, which, log_error(leader_forecast.figures.error)) if over > 0.0 else 0.0
     return max(meets, in_time * nearer)
 
 
-def _expected_saving(belief: Belief, which: int, than_log: float) -> float:
+def _expected_saving(belief: GaussianEstimate, which: int, than_log: float) -> float:
     """Return the expected relative saving of a log-normal value against another one, whose logarithm is ``than_log``.
 
     A larger value saves 0. The formula is that of a put option's price (F. Black and M. Scholes, 1973).

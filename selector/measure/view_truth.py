@@ -15,13 +15,13 @@ from skugga.shadows.plan import Step
 from skugga.shadows.render import bands_of
 from skugga.shadows.truth.cache import cached_truth
 from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX as COVERAGE_PX
-from skugga.shadows.truth.metrics import Errors, block_shares, coverage_error, errors_of
+from skugga.shadows.truth.metrics import ErrorMetrics, block_shares, coverage_error, error_metrics
 from skugga.shadows.truth.truth import ALL_KINDS, SOFT_SAMPLES, Truth, area_visibility, coverage_truth, ray_scene
 from skugga.shadows.visibility import without_hidden_points
-from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.subsampled import subsampled_points
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.level.level import SUN
@@ -37,7 +37,7 @@ TRUTH_SAMPLES = 4
 SOFT_PIXELS = 40_000
 """Number of evenly spaced pixels of a view, approximately, with the true visibility of an area light."""
 
-FOGGY = 0.5
+MAX_UNDECIDABLE_SHARE = 0.5
 """Undecidable share of the surface above which coverage is the error that counts."""
 
 
@@ -83,7 +83,7 @@ class ViewTruth:
     ----------
     view
         The view.
-    grounds
+    blocks
         Truth by block.
     whole
         Truth of the whole view.
@@ -92,7 +92,7 @@ class ViewTruth:
     """
 
     view: View
-    grounds: list[TruthBlock]
+    blocks: list[TruthBlock]
     whole: Truth
     true_shares: Sequence[np.ndarray] = ()
 
@@ -100,21 +100,21 @@ class ViewTruth:
     def true_visibility(self) -> np.ndarray:
         """Visibility (rows, cols) of the light as an area, the reference of soft edges. NaN except in every n-th pixel."""
         every = max(round((self.view.rows * self.view.cols / SOFT_PIXELS) ** 0.5), 1)
-        return self.pasted([_area_visibility(ground, every) for ground in self.grounds], np.nan)
+        return self.assembled([_area_visibility(ground, every) for ground in self.blocks], np.nan)
 
     @property
     def error(self) -> ErrorName:
         """The error that targets limit in this view."""
-        return "coverage" if self.whole.boundary > FOGGY else "wrong_cast"
+        return "coverage" if self.whole.boundary > MAX_UNDECIDABLE_SHARE else "wrong_cast"
 
-    def pasted(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
+    def assembled(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
         """Return one array of the view (rows, cols) from an array for each block."""
-        return _paste(self.view, self.grounds, parts, empty)
+        return _assemble(self.view, self.blocks, parts, empty)
 
     def cut(self, visibility: np.ndarray) -> list[np.ndarray]:
         """Return a visibility of the view (rows, cols) as blocks, with NaN outside the view."""
         parts = []
-        for ground in self.grounds:
+        for ground in self.blocks:
             rows, cols = ground.truth.lit.shape
             part = np.full((rows, cols), np.nan, visibility.dtype)
             top, left = max(ground.row, 0), max(ground.col, 0)
@@ -123,14 +123,16 @@ class ViewTruth:
             parts.append(part)
         return parts
 
-    def errors(self, parts: Sequence[np.ndarray], steps: Sequence[Step], pixel_m: float, soft: bool = False) -> Errors:
+    def errors(self, parts: Sequence[np.ndarray], steps: Sequence[Step], pixel_m: float, soft: bool = False) -> ErrorMetrics:
         """Return the errors of the blocks' visibilities (rows, cols), including attached shadow, drawn by a plan's steps.
 
         ``soft`` compares ``soft_error`` with the light as an area, which takes more rays, instead of a point.
         """
-        footprints_px = [texels_px(ground, steps, pixel_m) for ground in self.grounds]
+        footprints_px = [texels_px(ground, steps, pixel_m) for ground in self.blocks]
         true_visibility = self.true_visibility if soft else None
-        return errors_of(self.pasted(parts, np.nan), self.whole, pixel_m, self.pasted(footprints_px, 0.0), true_visibility)
+        return error_metrics(
+            self.assembled(parts, np.nan), self.whole, pixel_m, self.assembled(footprints_px, 0.0), true_visibility
+        )
 
     def coverage(self, parts: Sequence[np.ndarray]) -> float:
         """Return the mean difference between the shadow shares of the blocks' visibilities (rows, cols) and truth's."""
@@ -148,7 +150,7 @@ def truth_of_view(
     """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     view_truth = truth_of_parts(scene, view, parts, light, samples, effects)
-    shares = [coverage_truth(block.buffer, scene, block.casters, COVERAGE_PX, light=light) for block in view_truth.grounds]
+    shares = [coverage_truth(block.buffer, scene, block.casters, COVERAGE_PX, light=light) for block in view_truth.blocks]
     return replace(view_truth, true_shares=shares)
 
 
@@ -164,14 +166,14 @@ def truth_of_parts(
 
     True shadow shares are not computed.
     """
-    grounds = [_ground(scene, light, part, row, col, samples, effects) for part, row, col in parts]
-    return ViewTruth(view, grounds, _joined_truth(view, grounds))
+    blocks = [_truth_block(scene, light, part, row, col, samples, effects) for part, row, col in parts]
+    return ViewTruth(view, blocks, _joined_truth(view, blocks))
 
 
-def _joined_truth(view: View, grounds: Sequence[TruthBlock]) -> Truth:
+def _joined_truth(view: View, blocks: Sequence[TruthBlock]) -> Truth:
     """Return the truth of the whole view."""
     fields = ("lit", "attached", "decidable", "there")
-    return Truth(*(_paste(view, grounds, [getattr(ground.truth, field) for ground in grounds], False) for field in fields))
+    return Truth(*(_assemble(view, blocks, [getattr(ground.truth, field) for ground in blocks], False) for field in fields))
 
 
 def texels_px(ground: TruthBlock, steps: Sequence[Step], pixel_m: float) -> np.ndarray:
@@ -180,9 +182,9 @@ def texels_px(ground: TruthBlock, steps: Sequence[Step], pixel_m: float) -> np.n
     return np.max([texel_footprint_px(ground.scene, step, ground.buffer, pixel_m) for step in drawing], axis=0)
 
 
-def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: int, effects: Collection[str]) -> TruthBlock:
-    full_buffer = geometry_of(scene, block)
-    casters = casters_of(scene, full_buffer)
+def _truth_block(scene: Scene, light: str, block: View, row: int, col: int, samples: int, effects: Collection[str]) -> TruthBlock:
+    full_buffer = geometry_buffer(scene, block)
+    casters = find_casters(scene, full_buffer)
     truth, buffer = (
         cached_truth(full_buffer, scene, casters, samples, light),
         without_hidden_points(full_buffer, scene, light, effects),
@@ -208,11 +210,11 @@ def _area_visibility(ground: TruthBlock, every: int) -> np.ndarray:
     return out
 
 
-def _paste(view: View, grounds: Sequence[TruthBlock], parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
-    pasted = np.full((view.rows, view.cols), empty, dtype=np.asarray(parts[0]).dtype)
-    for ground, part in zip(grounds, parts, strict=True):
+def _assemble(view: View, blocks: Sequence[TruthBlock], parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
+    assembled = np.full((view.rows, view.cols), empty, dtype=np.asarray(parts[0]).dtype)
+    for ground, part in zip(blocks, parts, strict=True):
         rows, cols = part.shape
         top, left = max(ground.row, 0), max(ground.col, 0)
         bottom, right = min(ground.row + rows, view.rows), min(ground.col + cols, view.cols)
-        pasted[top:bottom, left:right] = part[top - ground.row : bottom - ground.row, left - ground.col : right - ground.col]
-    return pasted
+        assembled[top:bottom, left:right] = part[top - ground.row : bottom - ground.row, left - ground.col : right - ground.col]
+    return assembled

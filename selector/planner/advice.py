@@ -30,6 +30,9 @@ def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[
 def _first(case: RuleInput) -> tuple[AlgorithmName, str]:
     """Return the algorithm and the reason of the first rule that applies and whose algorithm can serve."""
     for rule in RULES:
-        if can_serve(rule.takes, case.descriptor, case.light, case.kind, case.asked) and (why := rule.applies(case)) is not None:
-            return rule.takes, f"{why} ({rule.source})"
+        if (
+            can_serve(rule.algorithm, case.descriptor, case.light, case.kind, case.requested_shadows)
+            and (why := rule.reason_for(case)) is not None
+        ):
+            return rule.algorithm, f"{why} ({rule.source})"
     return FALLBACK, NO_RULE

@@ -19,12 +19,12 @@ from skugga.terrain.facts.fact_types import CasterFacts, LampFacts, LightFacts
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import SUN, CasterKind, Shadows
 
-MAPS_ERROR = 0.006
+TYPICAL_MAP_ERROR = 0.006
 """Mean share of the cast shadow that perspective shadow maps get wrong in the thesis's five scenes. Plain maps have four times the
 error (``docs/seeds.md``, the grades). Maps cannot meet a smaller limit.
 """
 
-FEW_TRIANGLES = 2000
+MAX_FEW_TRIANGLES = 2000
 """Triangles, at most, of a mesh with few triangles.
 
 Volumes are fastest with the 400 triangles of the street. With the 12,000 and more of the thesis's other scenes they cost 1.7 to 4
@@ -36,7 +36,7 @@ CLOSED_SHARE = 0.5
 edge is a silhouette.
 """
 
-USUAL_TEXELS = 1024
+REFERENCE_MAP_TEXELS = 1024
 """Texels a side of the map in the thesis's advice."""
 
 SHARP_TEXEL_PX = 2.0
@@ -49,13 +49,13 @@ See figure 52 in ``docs/seeds.md``. In the thesis's scenes a texel covers 1.4 to
 near camera.
 """
 
-SMALL_SHADOW = 0.02
+MAX_SMALL_SHADOW_SHARE = 0.02
 """Share of the visible surface, at most, of a small shadowed area. The thesis gives no number."""
 
-BEHIND_DEG = 160.0
+MIN_BEHIND_ANGLE_DEG = 160.0
 """Where light and view directions differ by at most 20 degrees, most shadows are hidden behind their casters."""
 
-COMPLEX_LAYERS = 7.0
+MIN_COMPLEX_LAYERS = 7.0
 """Volume faces over a pixel, at least, of complex shadows.
 
 The box grid, the water tower and the room have 9 to 65 of them, the stone circles and the street 1 to 5. The thesis grades them
@@ -65,7 +65,7 @@ accordingly (section 7).
 MAP_SETTINGS = tuple(key for key in Shadows.model_fields if key in ShadowMapSettings.model_fields)
 """Settings that only shadow maps have. Filters of one tap and ``sun`` are exceptions: other algorithms have them, too."""
 
-LITTLE_SEEN = 1.0 / 3.0
+MAX_VISIBLE_LIT_SHARE = 1.0 / 3.0
 """Share of the lit area, at most, of which the camera sees a small part. In the stone circles under the sun the share is 30 %.
 Perspective maps get half as much wrong there as plain maps, in the same time (``docs/seeds.md``, the advice).
 """
@@ -86,14 +86,14 @@ class RuleInput:
         Name of the light.
     kind
         Kind of casters.
-    asked
+    requested_shadows
         Requested shadow settings.
     """
 
     descriptor: Descriptor
     light: str
     kind: CasterKind
-    asked: Shadows
+    requested_shadows: Shadows
 
     @property
     def lamp(self) -> LampFacts | None:
@@ -101,7 +101,7 @@ class RuleInput:
         return next((lamp for lamp in self.descriptor.lamps if lamp.name == self.light), None)
 
     @property
-    def seen(self) -> LightFacts | None:
+    def light_facts(self) -> LightFacts | None:
         """Facts of the light in the view, or ``None``."""
         return self.descriptor.lights.get(self.light)
 
@@ -119,27 +119,29 @@ class Rule:
     ----------
     name
         Name of the rule.
-    takes
+    algorithm
         Its algorithm.
-    applies
+    reason_for
         Returns the reason for a case; ``None`` if the rule does not apply or facts are unknown.
     source
         Source of the rule.
     """
 
     name: str
-    takes: AlgorithmName
-    applies: Callable[[RuleInput], str | None]
+    algorithm: AlgorithmName
+    reason_for: Callable[[RuleInput], str | None]
     source: str
 
 
-def _settings_of_maps(case: RuleInput) -> str | None:
+def _needs_map_settings(case: RuleInput) -> str | None:
     taps = (1, "sun") if case.light == SUN and case.kind == "relief" else (1,)
     others = {"filter": ("auto", *taps)}
-    keys = [key for key in MAP_SETTINGS if getattr(case.asked, key) not in others.get(key, ("auto",))]
+    keys = [key for key in MAP_SETTINGS if getattr(case.requested_shadows, key) not in others.get(key, ("auto",))]
     if not keys:
         return None
-    return f"settings that only shadow maps have are set: {', '.join(f'{key} {getattr(case.asked, key)}' for key in keys)}"
+    return (
+        f"settings that only shadow maps have are set: {', '.join(f'{key} {getattr(case.requested_shadows, key)}' for key in keys)}"
+    )
 
 
 def _heightfield(case: RuleInput) -> str | None:
@@ -148,13 +150,15 @@ def _heightfield(case: RuleInput) -> str | None:
     return "relief is a heightfield, so a line sweep along the sun's azimuth finds its shadows without texels"
 
 
-def _perfect(case: RuleInput) -> str | None:
-    if case.asked.max_error >= MAPS_ERROR or case.asked.max_ms is not None:
+def _needs_exact_shadows(case: RuleInput) -> str | None:
+    if case.requested_shadows.max_error >= TYPICAL_MAP_ERROR or case.requested_shadows.max_ms is not None:
         return None  # rules know no upper bound of the time of volumes
-    return f"max_error {case.asked.max_error:.2g} is too small for most shadow maps: shadow volumes are exact to the pixel"
+    return (
+        f"max_error {case.requested_shadows.max_error:.2g} is too small for most shadow maps: shadow volumes are exact to the pixel"
+    )
 
 
-def _leaves(case: RuleInput) -> str | None:
+def _needs_foliage_map(case: RuleInput) -> str | None:
     if case.kind == "forest":
         return "alpha-tested foliage needs a shadow map; a perspective shadow map has no finer texels on trees"
     if "forest" in case.descriptor.casters:
@@ -164,30 +168,30 @@ def _leaves(case: RuleInput) -> str | None:
 
 def _few_polygons(case: RuleInput) -> str | None:
     casters = case.casters
-    if casters is None or not 0 < casters.triangles <= FEW_TRIANGLES or casters.closed_share < CLOSED_SHARE:
+    if casters is None or not 0 < casters.triangles <= MAX_FEW_TRIANGLES or casters.closed_share < CLOSED_SHARE:
         return None
     return f"few polygons ({casters.triangles} triangles): shadow volumes are fast, and exact to the pixel"
 
 
-def _narrow(case: RuleInput) -> str | None:
+def _narrow_light_cone(case: RuleInput) -> str | None:
     if case.lamp is None or case.lamp.kind != "spot":
         return None
     across_m = 2.0 * case.lamp.reference_m * float(np.tan(np.radians(case.lamp.cutoff_deg)))
-    texel_px = across_m / USUAL_TEXELS / case.descriptor.pixel_m
+    texel_px = across_m / REFERENCE_MAP_TEXELS / case.descriptor.pixel_m
     if texel_px > SHARP_TEXEL_PX:
         return None
     return f"narrow light cone: a texel of the shadow map covers {texel_px:.2g} pixels at the lamp's target"
 
 
 def _small_shadow(case: RuleInput) -> str | None:
-    casting = case.seen.casts.get(case.kind) if case.seen else None
-    if casting is None or casting.share > SMALL_SHADOW:
+    casting = case.light_facts.casts.get(case.kind) if case.light_facts else None
+    if casting is None or casting.share > MAX_SMALL_SHADOW_SHARE:
         return None
     return f"small shadowed area: {100.0 * casting.share:.1f} % of the view"
 
 
-def _behind(case: RuleInput) -> str | None:
-    if case.seen is None or case.seen.to_view_deg is None or case.seen.to_view_deg < BEHIND_DEG:
+def _light_behind_camera(case: RuleInput) -> str | None:
+    if case.light_facts is None or case.light_facts.to_view_deg is None or case.light_facts.to_view_deg < MIN_BEHIND_ANGLE_DEG:
         return None
     return "light near the camera: most shadows are hidden behind their casters"
 
@@ -196,26 +200,31 @@ def _map_view(case: RuleInput) -> str | None:
     return "map view: all shadow edges are equally far away" if case.descriptor.view_kind == "map" else None
 
 
-def _afar(case: RuleInput) -> str | None:
+def _far_edges(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
     if texel_px is None or texel_px > COARSE_TEXEL_PX:
         return None
     return f"camera far from shadow edges: a texel of the shadow map covers {texel_px:.2g} pixels at the nearest edge"
 
 
-def _complex(case: RuleInput) -> str | None:
+def _complex_near_shadows(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
-    if texel_px is None or texel_px <= COARSE_TEXEL_PX or case.seen is None or case.seen.volume_layers < COMPLEX_LAYERS:
+    if (
+        texel_px is None
+        or texel_px <= COARSE_TEXEL_PX
+        or case.light_facts is None
+        or case.light_facts.volume_layers < MIN_COMPLEX_LAYERS
+    ):
         return None
     return (
-        f"complex shadows (about {case.seen.volume_layers:.2g} volume faces per pixel) and a near camera: "
+        f"complex shadows (about {case.light_facts.volume_layers:.2g} volume faces per pixel) and a near camera: "
         f"a texel of the shadow map covers {texel_px:.2g} pixels at the nearest edge"
     )
 
 
-def _little_seen(case: RuleInput) -> str | None:
-    bands, light_facts = case.descriptor.bands, case.seen
-    if not bands or light_facts is None or light_facts.area_share > LITTLE_SEEN:
+def _small_visible_lit_area(case: RuleInput) -> str | None:
+    bands, light_facts = case.descriptor.bands, case.light_facts
+    if not bands or light_facts is None or light_facts.area_share > MAX_VISIBLE_LIT_SHARE:
         return None
     # If the camera is slid back until all casters lie before it, the plane of infinity lies at depth m in post-perspective space.
     # The far distance is then m / (m - 1) times the near one. No texel gets smaller by more than this factor.
@@ -228,9 +237,9 @@ def _little_seen(case: RuleInput) -> str | None:
 def _near_texel_px(case: RuleInput) -> float | None:
     """Return the pixels that a map's texel covers at the nearest shadow edge of a perspective view, or ``None`` if unknown.
 
-    The map has ``USUAL_TEXELS`` a side.
+    The map has ``REFERENCE_MAP_TEXELS`` a side.
     """
-    descriptor, light_facts, lamp = case.descriptor, case.seen, case.lamp
+    descriptor, light_facts, lamp = case.descriptor, case.light_facts, case.lamp
     if descriptor.pixel is None or light_facts is None or light_facts.nearest_edge_m is None:
         return None
     if lamp is not None:
@@ -240,32 +249,37 @@ def _near_texel_px(case: RuleInput) -> float | None:
         across_m = max(descriptor.receivers_light_m[:2])
     else:
         return None
-    return across_m / USUAL_TEXELS / (descriptor.pixel * max(light_facts.nearest_edge_m, 1e-3))
+    return across_m / REFERENCE_MAP_TEXELS / (descriptor.pixel * max(light_facts.nearest_edge_m, 1e-3))
 
 
 THESIS_SECTION = "Sindholt 2005, 8.2"
 
 RULES: tuple[Rule, ...] = (
-    Rule("settings of a map", "shadow_map", _settings_of_maps, "docs/algorithms.md"),
+    Rule("settings of a map", "shadow_map", _needs_map_settings, "docs/algorithms.md"),
     Rule(
         "a heightfield is swept",
         "sweep",
         _heightfield,
         "docs/sweep-accuracy.md: 0.01 % wrong in maps; docs/selection.md: 0.25 % where perspective views draw fewer triangles",
     ),
-    Rule("perfect shadows", "shadow_volume", _perfect, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
-    Rule("foliage needs a map", "shadow_map", _leaves, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
+    Rule("perfect shadows", "shadow_volume", _needs_exact_shadows, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
+    Rule("foliage needs a map", "shadow_map", _needs_foliage_map, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
     Rule("few polygons", "shadow_volume", _few_polygons, f"{THESIS_SECTION}; docs/seeds.md: fastest in such scenes"),
-    Rule("narrow light", "shadow_map", _narrow, f"{THESIS_SECTION}; docs/seeds.md, figures 52 and 53"),
+    Rule("narrow light", "shadow_map", _narrow_light_cone, f"{THESIS_SECTION}; docs/seeds.md, figures 52 and 53"),
     Rule("small shadowed area", "shadow_map", _small_shadow, THESIS_SECTION),
-    Rule("light near the camera", "shadow_map", _behind, f"{THESIS_SECTION}; docs/seeds.md, figure 54, for a lamp"),
+    Rule("light near the camera", "shadow_map", _light_behind_camera, f"{THESIS_SECTION}; docs/seeds.md, figure 54, for a lamp"),
     Rule("map view", "shadow_map", _map_view, "docs/how-it-works.md: a map view has no perspective"),
-    Rule("far from every edge", "shadow_map", _afar, f"{THESIS_SECTION}; docs/seeds.md: no larger errors from afar"),
-    Rule("complex shadows from near", "hybrid", _complex, f"{THESIS_SECTION}; docs/seeds.md: faster than volumes in some scenes"),
+    Rule("far from every edge", "shadow_map", _far_edges, f"{THESIS_SECTION}; docs/seeds.md: no larger errors from afar"),
+    Rule(
+        "complex shadows from near",
+        "hybrid",
+        _complex_near_shadows,
+        f"{THESIS_SECTION}; docs/seeds.md: faster than volumes in some scenes",
+    ),
     Rule(
         "small part of the lit area seen",
         "perspective_shadow_map",
-        _little_seen,
+        _small_visible_lit_area,
         f"{THESIS_SECTION}; docs/seeds.md: half the errors of a map",
     ),
 )

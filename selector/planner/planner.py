@@ -15,9 +15,9 @@ from pydantic_core import PydanticCustomError
 from skugga.selector.choices import Choice, PlanRequest
 from skugga.selector.formatting import format_list
 from skugga.selector.planner.advice import choices_by_rules
-from skugga.selector.planner.asked import Asked, asked_of
+from skugga.selector.planner.shadow_request import ShadowRequest, resolve_shadow_request
 from skugga.shadows.algorithm import (
-    FALLS_BACK_FOR,
+    FALLBACK_REQUIREMENT,
     AlgorithmSettings,
     Reasoned,
     Requirement,
@@ -84,18 +84,20 @@ def make_plan(
 
 def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
     """Return the planner of a descriptor: all that its plans share, whatever is chosen. Raises the errors of ``make_plan``."""
-    asked = asked_of(descriptor, plan_request, overrides)
+    asked = resolve_shadow_request(descriptor, plan_request, overrides)
     shadows = asked.shadows
     effects, left_out = _effects(descriptor, plan_request, shadows)
     try:
         algorithm_override = expand_override(shadows.algorithm, plan_request.light_names)
     except PydanticCustomError as error:
         raise InputError("algorithm", spelt(shadows.algorithm), error.message()) from None
-    forced = frozenset(name for name in EFFECTS if _wish(plan_request, name) == "on")
+    forced = frozenset(name for name in EFFECTS if _requested_effect(plan_request, name) == "on")
     return Planner(descriptor, asked, effects, left_out, algorithm_override, forced)
 
 
-COARSE_PIXELS = "pixels are larger than the data's cells: each shows the mean visibility of {side} x {side} sub-pixel samples"
+SUPERSAMPLING_REASON = (
+    "pixels are larger than the data's cells: each shows the mean visibility of {side} x {side} sub-pixel samples"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +121,14 @@ class Planner:
     """
 
     descriptor: Descriptor
-    request: Asked
+    request: ShadowRequest
     effects: list[Reasoned]
     left_out: list[Reasoned]
     algorithm_override: AlgorithmOverride
     forced: frozenset[EffectName]
     _resolved_settings: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[Reasoned]]] = field(default_factory=dict)
     _combinations: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
-    _unique: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
+    _interned_settings: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
 
     @cached_property
     def lights(self) -> tuple[str, ...]:
@@ -135,10 +137,10 @@ class Planner:
         In a perspective view lamps that do not reach the view are left out, unless lamps are forced on. In a map view all lamps are
         planned for, because the plan may stand for other maps of its scale.
         """
-        return tuple(light for light in self.descriptor.light_kinds if light not in self._dark)
+        return tuple(light for light in self.descriptor.light_kinds if light not in self._unreached_lamps)
 
     @cached_property
-    def _dark(self) -> dict[str, None]:
+    def _unreached_lamps(self) -> dict[str, None]:
         """The lamps that are left out, in order."""
         if self.descriptor.view_kind == "map":
             return {}
@@ -161,7 +163,7 @@ class Planner:
                 assignment.kind: assignment.name for assignment in self._assignments(light, choice) if assignment.name != NO_SHADOWS
             }
         algorithm = self._combinations[combination]
-        of_name = {name: self._resolved(light, name, choice)[0] for name in dict.fromkeys(algorithm.values())}
+        of_name = {name: self._resolve(light, name, choice)[0] for name in dict.fromkeys(algorithm.values())}
         settings = {
             kind: algorithm_settings for kind, name in algorithm.items() if (algorithm_settings := of_name[name]) is not None
         }
@@ -169,7 +171,7 @@ class Planner:
 
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
         """Return the plan for choices by light. Raises the errors of ``make_plan``."""
-        descriptor, shadows, requester = self.descriptor, self.asked, self.request.who("algorithm")
+        descriptor, shadows, requester = self.descriptor, self.asked, self.request.requester("algorithm")
         assignments = [assignment for light in self.lights for assignment in self._assignments(light, choices.get(light))]
         reasons = [
             Reasoned(name=f"{assignment.light}/{assignment.kind}: {assignment.name}", reason=assignment.why)
@@ -186,19 +188,19 @@ class Planner:
                 reported.add((assignment.light, assignment.name))
             if kind_settings is not None:
                 settings.setdefault(assignment.light, {})[assignment.kind] = kind_settings
-        if self._dark:
-            dark = format_list(list(self._dark))
+        if self._unreached_lamps:
+            dark = format_list(list(self._unreached_lamps))
             reasons.append(Reasoned(name="lamps left out", reason=f"no light from {dark} reaches the view"))
-        reasons += _settings_asked_for(self.request, settings, reasons)
+        reasons += _requested_setting_reasons(self.request, settings, reasons)
         if descriptor.pieces > 1 and settings:
-            reasons.append(Reasoned(name="supersampling", reason=COARSE_PIXELS.format(side=descriptor.pieces)))
-        effects, left_out = _with_work(self.effects, self.left_out, algorithm, settings)
+            reasons.append(Reasoned(name="supersampling", reason=SUPERSAMPLING_REASON.format(side=descriptor.pieces)))
+        effects, left_out = _without_idle_effects(self.effects, self.left_out, algorithm, settings)
         used = {assignment.name for assignment in assignments}
-        nothing = self._missing.get("cast_shadows")
+        no_shadows_reason = self._left_out_reasons.get("cast_shadows")
         plan = Plan(
             view=descriptor.view, policy="rules", algorithm=algorithm, settings=settings, effects=effects, left_out=left_out,
             rejected=[
-                Reasoned(name=name, reason=nothing or _rejected(name, assignments, requester, rejected))
+                Reasoned(name=name, reason=no_shadows_reason or _rejection_reason(name, assignments, requester, rejected))
                 for name in ALGORITHMS if name not in used
             ],
             passes=[], target=Target(max_error=shadows.max_error, max_ms=shadows.max_ms), reasons=reasons,
@@ -207,53 +209,58 @@ class Planner:
         return plan.model_copy(update={"passes": passes_of(plan.runs, passes)})
 
     @cached_property
-    def _missing(self) -> dict[str, str]:
+    def _left_out_reasons(self) -> dict[str, str]:
         return {effect.name: effect.reason for effect in self.left_out}
 
     def _assignments(self, light: str, choice: Choice | None) -> list[_Assignment]:
         kind_of_light, assignments = self.descriptor.light_kinds[light], []
-        missing = self._missing
+        left_out_reasons = self._left_out_reasons
         for caster in self.descriptor.casters:
             requested, parts = (
                 self.algorithm_override.get(light, {}).get(caster),
                 requirements_of(self.descriptor, kind_of_light, caster, self._is_area(light)),
             )
-            name, why, is_free = _algorithm(self.descriptor, light, caster, requested, self.request, missing, self.forced, choice)
-            asked_for, why_not = name, _falls_back(name, parts)
+            name, why, is_free = _algorithm(
+                self.descriptor, light, caster, requested, self.request, left_out_reasons, self.forced, choice
+            )
+            requested_name, why_not = name, _fallback_reason(name, parts)
             if why_not is not None:
-                name, why = FALLBACK, f"{self.request.who('algorithm')} sets {asked_for}, but {why_not}"
-            _check(name, light, caster, parts, self.request)
-            assignments.append(_Assignment(light, caster, name, why, is_free, parts, asked_for))
+                name, why = FALLBACK, f"{self.request.requester('algorithm')} sets {requested_name}, but {why_not}"
+            _check_served(name, light, caster, parts, self.request)
+            assignments.append(_Assignment(light, caster, name, why, is_free, parts, requested_name))
         return assignments
 
     def _is_area(self, light: str) -> bool:
         """Return whether a light is drawn as an area. The sun is not, if its edges are to be sharp."""
-        return is_area(self.descriptor, light, self.asked) and not (light == SUN and "soft_edges" in self._missing)
+        return is_area(self.descriptor, light, self.asked) and not (light == SUN and "soft_edges" in self._left_out_reasons)
 
-    def _picked(self, choice: Choice | None) -> dict[str, Any]:
+    def _open_settings(self, choice: Choice | None) -> dict[str, Any]:
         """Return the settings of a choice that the level and the request leave open."""
         return {key: value for key, value in (choice.settings if choice else {}).items() if getattr(self.asked, key) == "auto"}
 
-    def _resolved(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
+    def _resolve(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
         """Return the settings of an algorithm, if any, and the reasons for those that the choice left open. Results are cached."""
-        open_settings = self._picked(choice)
+        open_settings = self._open_settings(choice)
         key = (light, name, *open_settings.items())
         if key not in self._resolved_settings:
-            asked, sharp_because = self.asked.model_copy(update=open_settings), self._missing.get("soft_edges")
-            settings, reasons = ALGORITHMS[name].resolve(SettingsRequest(self.descriptor, light, asked, sharp_because))
-            self._resolved_settings[key] = self._unique.setdefault(settings, settings), reasons  # equal settings share an object
+            asked, hard_edges_reason = self.asked.model_copy(update=open_settings), self._left_out_reasons.get("soft_edges")
+            settings, reasons = ALGORITHMS[name].resolve(SettingsRequest(self.descriptor, light, asked, hard_edges_reason))
+            self._resolved_settings[key] = (
+                self._interned_settings.setdefault(settings, settings),
+                reasons,
+            )  # equal settings share an object
         return self._resolved_settings[key]
 
     def _settings(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
         """Return the settings of an algorithm, if any, and the reasons for them."""
-        open_settings = self._picked(choice)
-        settings, reasons = self._resolved(light, name, choice)
+        open_settings = self._open_settings(choice)
+        settings, reasons = self._resolve(light, name, choice)
         chosen = [
             Reasoned(name=f"{key} {value}", reason=choice.why[key])
             for key, value in open_settings.items()
             if choice and key in choice.why
         ]
-        used_keys = {} if settings is None else settings.asked_as
+        used_keys = {} if settings is None else settings.as_overrides
         return settings, [*(reasoned for reasoned in chosen if reasoned.name.split()[0] in used_keys), *reasons]
 
 
@@ -271,11 +278,11 @@ class _Assignment:
         The algorithm.
     why
         The reason for it.
-    free
+    is_free
         Whether the policy chose it.
     parts
         What the algorithm must be able to do.
-    asked_for
+    requested_name
         The chosen or requested algorithm, before a fallback.
     """
 
@@ -283,9 +290,9 @@ class _Assignment:
     kind: CasterKind
     name: AlgorithmName
     why: str
-    free: bool
+    is_free: bool
     parts: tuple[Requirement, ...]
-    asked_for: AlgorithmName
+    requested_name: AlgorithmName
 
 
 def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
@@ -294,7 +301,7 @@ def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows
     left_out: list[Reasoned] = []
     for name, effect in EFFECTS.items():
         verdict = effect.verdict(name, descriptor)
-        requested = _wish(plan_request, name)
+        requested = _requested_effect(plan_request, name)
         runs, reason = verdict.called_for, verdict.reason
         if requested != "auto":
             runs, reason = requested == "on", f"forced {requested} by the level ({verdict.reason})"
@@ -307,11 +314,11 @@ def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows
     return effects, left_out
 
 
-def _wish(plan_request: PlanRequest, name: EffectName) -> str:
+def _requested_effect(plan_request: PlanRequest, name: EffectName) -> str:
     return "auto" if plan_request.effects == "auto" else plan_request.effects.get(name, "auto")
 
 
-def _with_work(
+def _without_idle_effects(
     effects: list[Reasoned],
     left_out: list[Reasoned],
     algorithm: dict[str, dict[CasterKind, AlgorithmName]],
@@ -350,23 +357,23 @@ def _algorithm(
     light: str,
     caster: CasterKind,
     requested: AlgorithmName | None,
-    request: Asked,
-    missing: dict[str, str],
+    request: ShadowRequest,
+    left_out_reasons: dict[str, str],
     forced: Collection[EffectName],
     choice: Choice | None,
 ) -> tuple[AlgorithmName, str, bool]:
     """Return the algorithm of a light for a kind of casters, the reason, and whether the policy chose it.
 
-    ``missing`` has the reasons of the effects that are left out, ``forced`` the effects that the level forces on.
+    ``left_out_reasons`` has the reasons of the effects that are left out, ``forced`` the effects that the level forces on.
     """
     needed = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
     for effect in sorted(needed | ({"lamps"} if light != SUN else set())):
-        if effect in missing:
-            return NO_SHADOWS, missing[effect], False
+        if effect in left_out_reasons:
+            return NO_SHADOWS, left_out_reasons[effect], False
     if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not sun_verdict(descriptor).called_for)):
         return NO_SHADOWS, sun_verdict(descriptor).reason, False
     if requested is not None:
-        return requested, request.because("algorithm"), False
+        return requested, request.reason_for("algorithm"), False
     if caster == "relief" and descriptor.relief_m <= 0.0:
         return NO_SHADOWS, "level ground casts no shadow", False
     if light == SUN and not needed & set(forced) and not sun_kind_verdict(descriptor, caster).called_for:
@@ -378,32 +385,36 @@ def _algorithm(
     return choice.algorithm[caster], choice.why.get(caster, choice.name), True
 
 
-def _falls_back(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str | None:
+def _fallback_reason(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str | None:
     """Return the reason why an algorithm falls back to ``FALLBACK``.
 
     ``None`` means that it serves, or that its refusal is an error.
     """
-    others = [part for part in parts if part != FALLS_BACK_FOR]
+    others = [part for part in parts if part != FALLBACK_REQUIREMENT]
     return None if ALGORITHMS[name].refusal(others) else ALGORITHMS[name].refusal(parts)
 
 
-def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], request: Asked) -> None:
+def _check_served(
+    name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], request: ShadowRequest
+) -> None:
     """Raise ``UnsupportedError`` if an algorithm refuses, with the algorithms that serve instead."""
     why = ALGORITHMS[name].refusal(parts)
     if why is not None:
         value, allowed = f"{name} for {caster} under {light}", f"{why}; algorithms that can: {', '.join(algorithms_serving(parts))}"
-        raise UnsupportedError(request.named("algorithm"), value, allowed)
+        raise UnsupportedError(request.key_path("algorithm"), value, allowed)
 
 
-def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: str, rejected: Mapping[AlgorithmName, str]) -> str:
+def _rejection_reason(
+    name: AlgorithmName, assignments: list[_Assignment], requester: str, rejected: Mapping[AlgorithmName, str]
+) -> str:
     """Return why an algorithm is not used: its own refusal, the policy's reason against it, or the preferred algorithm."""
-    free_assignments = [assignment for assignment in assignments if assignment.free]
+    free_assignments = [assignment for assignment in assignments if assignment.is_free]
     if not ALGORITHMS[name].served:
         return ALGORITHMS[name].about
-    if any(assignment.asked_for == name for assignment in assignments):
-        return ALGORITHMS[name].refuses[FALLS_BACK_FOR]
+    if any(assignment.requested_name == name for assignment in assignments):
+        return ALGORITHMS[name].refuses[FALLBACK_REQUIREMENT]
     if not free_assignments:
-        return f"{requester} sets {', '.join(sorted({assignment.asked_for for assignment in assignments}))}"
+        return f"{requester} sets {', '.join(sorted({assignment.requested_name for assignment in assignments}))}"
     if name == NO_SHADOWS:
         return "the view has casters and light, so shadows are drawn"
     if name in rejected:
@@ -424,8 +435,8 @@ def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: st
     )
 
 
-def _settings_asked_for(
-    request: Asked,
+def _requested_setting_reasons(
+    request: ShadowRequest,
     settings: dict[str, dict[CasterKind, AlgorithmSettings]],
     given_reasons: list[Reasoned],
 ) -> list[Reasoned]:
@@ -440,8 +451,8 @@ def _settings_asked_for(
         value = getattr(request.shadows, key)
         name = f"{key} {value}"
         if value != "auto" and name not in reported:
-            reason = request.because(key)
-            if not any(each.asked_as.get(key) == value for each in resolved):
+            reason = request.reason_for(key)
+            if not any(each.as_overrides.get(key) == value for each in resolved):
                 reason += ", without effect: no chosen algorithm has this setting"
             reasons.append(Reasoned(name=name, reason=reason))
     return reasons

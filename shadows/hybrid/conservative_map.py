@@ -64,7 +64,7 @@ def conservative_map(size: tuple[int, int], corners: np.ndarray, edges: np.ndarr
 
 
 def classify_points(
-    known: ConservativeMap,
+    conservative: ConservativeMap,
     u: np.ndarray,
     v: np.ndarray,
     depth: np.ndarray,
@@ -75,7 +75,7 @@ def classify_points(
 
     Parameters
     ----------
-    known
+    conservative
         The map.
     u, v, depth
         The points (n,), in the coordinates of the map. Points outside of it are masked.
@@ -86,7 +86,7 @@ def classify_points(
     """
     n = len(depth)
     slack, on_caster = np.broadcast_to(np.asarray(slack, float), n), np.broadcast_to(on_caster, n)
-    return _decided(known.nearest, known.nearest_other, known.shaded_beyond, u, v, depth, slack, on_caster)
+    return _decided(conservative.nearest, conservative.nearest_other, conservative.shaded_beyond, u, v, depth, slack, on_caster)
 
 
 def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
@@ -99,10 +99,10 @@ def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray
     ahead = corners_lamp_m[..., 2] >= z_near_m
     number = ahead.sum(axis=1)
     one_ahead, two_ahead = corners_lamp_m[number == 1], corners_lamp_m[number == 2]
-    tip, left, right = _turned(one_ahead, np.argmax(ahead[number == 1], axis=1))
-    single = np.stack([tip, _cut(tip, left, z_near_m), _cut(tip, right, z_near_m)], axis=1)
-    behind, left, right = _turned(two_ahead, np.argmin(ahead[number == 2], axis=1))
-    to_left, to_right = _cut(left, behind, z_near_m), _cut(right, behind, z_near_m)
+    tip, left, right = _rotate_corners(one_ahead, np.argmax(ahead[number == 1], axis=1))
+    single = np.stack([tip, _near_plane_intersection(tip, left, z_near_m), _near_plane_intersection(tip, right, z_near_m)], axis=1)
+    behind, left, right = _rotate_corners(two_ahead, np.argmin(ahead[number == 2], axis=1))
+    to_left, to_right = _near_plane_intersection(left, behind, z_near_m), _near_plane_intersection(right, behind, z_near_m)
     double = [np.stack([left, right, to_right], axis=1), np.stack([left, to_right, to_left], axis=1)]
     return np.concatenate([corners_lamp_m[number == 3], single, *double])
 
@@ -116,16 +116,16 @@ def clipped_edges(ends_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
     number = ahead.sum(axis=1)
     crossing, first = ends_lamp_m[number == 1], ahead[number == 1, 0]
     a, b = np.where(first[:, None], crossing[:, 0], crossing[:, 1]), np.where(first[:, None], crossing[:, 1], crossing[:, 0])
-    return np.concatenate([ends_lamp_m[number == 2], np.stack([a, _cut(a, b, z_near_m)], axis=1)])
+    return np.concatenate([ends_lamp_m[number == 2], np.stack([a, _near_plane_intersection(a, b, z_near_m)], axis=1)])
 
 
-def _turned(corners: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rotate_corners(corners: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the three corners (n, 3) of triangles in their order, starting at index ``first`` (n,)."""
     n = np.arange(len(corners))
     return corners[n, first], corners[n, (first + 1) % 3], corners[n, (first + 2) % 3]
 
 
-def _cut(ahead: np.ndarray, behind: np.ndarray, z_near_m: float) -> np.ndarray:
+def _near_plane_intersection(ahead: np.ndarray, behind: np.ndarray, z_near_m: float) -> np.ndarray:
     """Return the intersections (n, 3) of segments with the plane z = z_near, from points ahead of it to points behind it.
 
     Triangles and edges use the same arithmetic, so shared edges have identical cuts.

@@ -19,7 +19,7 @@ MARGIN = 1.0 / 64.0
 EDGE_MARGIN = 2.0 * MARGIN
 """Margin for edges: a triangle that touches its widened square reaches well into the wider square of its edges."""
 
-OPEN = 1e9
+OPEN_LAYERS = 1e9
 """Lower bound of the layers of a run with an edge: its number of layers varies over the texel."""
 
 THIN_TEXELS = 2.0**-14
@@ -77,7 +77,7 @@ def certain_depths(cols, rows, corners, edges):
                 if run[0, 2] == 1.0:
                     nearest_other[row, col] = run[1, 0] if count > 1 else np.inf
             for k in range(count):
-                if 1.0 <= run[k, 2] < OPEN:
+                if 1.0 <= run[k, 2] < OPEN_LAYERS:
                     shaded_beyond[row, col] = run[k, 1]
                     break
     return nearest, nearest_other, shaded_beyond
@@ -110,12 +110,12 @@ def _draw_triangle(runs, counts, corners):
     in_v = (abs(cz * bu) + abs(bz * cu) + abs(slope_v) * terms) / abs(area) * (v_max - v_min + 1.0)
     reach = (abs(slope_u) + abs(slope_v)) * (0.5 + MARGIN)
     error = DEPTH_ROUNDING * (in_u + in_v + max(abs(z_min), abs(z_max)))
-    for row in range(*_texels(v_min - MARGIN, v_max + MARGIN, rows)):
-        low, high = _span(corners, row - MARGIN, row + 1.0 + MARGIN)
+    for row in range(*_texel_range(v_min - MARGIN, v_max + MARGIN, rows)):
+        low, high = _u_range(corners, row - MARGIN, row + 1.0 + MARGIN)
         if low > high:
             continue
-        probe_low, probe_high = _span(corners, row + PROBE[1] - PROBE_MARGIN, row + PROBE[1] + PROBE_MARGIN)
-        for col in range(*_texels(low - MARGIN, high + MARGIN, cols)):
+        probe_low, probe_high = _u_range(corners, row + PROBE[1] - PROBE_MARGIN, row + PROBE[1] + PROBE_MARGIN)
+        for col in range(*_texel_range(low - MARGIN, high + MARGIN, cols)):
             middle = a[2] + slope_u * (col + 0.5 - a[0]) + slope_v * (row + 0.5 - a[1])
             near = max(z_min, middle - reach) - error
             far = max(near, min(z_max, middle + reach) + error)
@@ -131,18 +131,18 @@ def _draw_edge(runs, counts, a, b):
     if v_max < -EDGE_MARGIN or v_min > rows + EDGE_MARGIN:
         return
     error = DEPTH_ROUNDING * max(abs(a[2]), abs(b[2]))
-    for row in range(*_texels(v_min - EDGE_MARGIN, v_max + EDGE_MARGIN, rows)):
-        start, stop = _part(a[1], b[1], row - EDGE_MARGIN, row + 1.0 + EDGE_MARGIN, 0.0, 1.0)
+    for row in range(*_texel_range(v_min - EDGE_MARGIN, v_max + EDGE_MARGIN, rows)):
+        start, stop = _clip_interval(a[1], b[1], row - EDGE_MARGIN, row + 1.0 + EDGE_MARGIN, 0.0, 1.0)
         if start > stop:
             continue
         u_start, u_stop = a[0] + start * (b[0] - a[0]), a[0] + stop * (b[0] - a[0])
         low, high = min(u_start, u_stop), max(u_start, u_stop)
-        for col in range(*_texels(low - EDGE_MARGIN, high + EDGE_MARGIN, cols)):
-            first, last = _part(a[0], b[0], col - EDGE_MARGIN, col + 1.0 + EDGE_MARGIN, start, stop)
+        for col in range(*_texel_range(low - EDGE_MARGIN, high + EDGE_MARGIN, cols)):
+            first, last = _clip_interval(a[0], b[0], col - EDGE_MARGIN, col + 1.0 + EDGE_MARGIN, start, stop)
             if first <= last:
                 z_first, z_last = a[2] + first * (b[2] - a[2]), a[2] + last * (b[2] - a[2])
                 near, far = min(z_first, z_last) - error, max(z_first, z_last) + error
-                counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, OPEN)
+                counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, OPEN_LAYERS)
 
 
 @internal
@@ -173,7 +173,7 @@ def _insert(runs, count, near, far, layers):
 
 
 @internal
-def _span(corners, low, high):
+def _u_range(corners, low, high):
     """Return the minimum and maximum u of the part of a triangle with v in [low, high]; inf and -inf if it is empty.
 
     The part is convex, so it meets exactly the squares of the row between these bounds.
@@ -181,7 +181,7 @@ def _span(corners, low, high):
     least, greatest = np.inf, -np.inf
     for k in range(3):
         n = (k + 1) % 3
-        start, stop = _part(corners[k, 1], corners[n, 1], low, high, 0.0, 1.0)
+        start, stop = _clip_interval(corners[k, 1], corners[n, 1], low, high, 0.0, 1.0)
         if start <= stop:
             way = corners[n, 0] - corners[k, 0]
             u_start, u_stop = corners[k, 0] + start * way, corners[k, 0] + stop * way
@@ -190,7 +190,7 @@ def _span(corners, low, high):
 
 
 @internal
-def _part(a, b, low, high, start, stop):
+def _clip_interval(a, b, low, high, start, stop):
     """Clip the parameter interval [start, stop] of the segment from a to b to low <= value <= high; start > stop if empty."""
     if a == b:
         return (start, stop) if low <= a <= high else (1.0, 0.0)
@@ -199,6 +199,6 @@ def _part(a, b, low, high, start, stop):
 
 
 @internal
-def _texels(low, high, size):
+def _texel_range(low, high, size):
     """Return the range (first, last + 1) of the texels, among ``size``, that [low, high] meets."""
     return int(np.floor(max(0.0, min(float(size), low)))), int(np.floor(max(-1.0, min(size - 1.0, high)))) + 1

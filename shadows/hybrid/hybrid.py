@@ -29,8 +29,8 @@ from skugga.shadows.maps.filling import visibility_by_maps
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import lamp_map, sun_maps
 from skugga.shadows.passes import PassLog
-from skugga.shadows.volumes.drawing import count, faces_before
-from skugga.shadows.volumes.shadow_volume import KEEPS, NO_VOLUME, too_much_ground
+from skugga.shadows.volumes.drawing import count, faces_in_front
+from skugga.shadows.volumes.shadow_volume import KEEPS, VOLUME_REFUSALS, has_too_much_ground
 from skugga.shadows.volumes.tiles import marked_tiles
 from skugga.shadows.volumes.volumes import volumes_of
 from skugga.terrain.casters.reach import Casters
@@ -59,14 +59,14 @@ def fill(
     light_frame = np.array(scene.light_position(light, buffer.frame))
     with log.run(passes[0]) as record:
         volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
-    wanted = buffer.there & ~attached(buffer, scene, light)
+    receiver_mask = buffer.there & ~attached(buffer, scene, light)
     if settings.mask == "original":
-        verdict = _compared(buffer, scene, light, kinds, casters, settings, wanted, passes, log)
+        classes = _classify_by_comparison(buffer, scene, light, kinds, casters, settings, receiver_mask, passes, log)
     else:
-        verdict = classify_pixels(buffer, scene, light, kinds, volumes, settings.map.map_size, wanted, passes, log)
-        log.keep("shadow-map", light, map_pictures, buffer, scene, light, volumes, settings.map.map_size, wanted)
-    log.keep("volumes", light, faces_before, buffer, scene, volumes)
-    marks = verdict == MASKED
+        classes = classify_pixels(buffer, scene, light, kinds, volumes, settings.map.map_size, receiver_mask, passes, log)
+        log.keep("shadow-map", light, map_pictures, buffer, scene, light, volumes, settings.map.map_size, receiver_mask)
+    log.keep("volumes", light, faces_in_front, buffer, scene, volumes)
+    marks = classes == MASKED
     log.keep("silhouettes", light, lambda: np.where(marks, np.uint8(255), np.uint8(0)))
     with log.run(passes[3]) as record:
         row, col = np.nonzero(marks[: buffer.view.rows])
@@ -74,17 +74,17 @@ def fill(
         record.tiles += int(marked_tiles(row, col, (buffer.view.rows, buffer.view.cols)).sum())
         counts = count(buffer, scene, light_frame, volumes, settings, marks, True, record)
     log.keep("stencil", light, counts.copy)
-    return np.where(np.where(marks, counts > 0, verdict == SHADED), np.float32(0.0), np.float32(1.0))
+    return np.where(np.where(marks, counts > 0, classes == SHADED), np.float32(0.0), np.float32(1.0))
 
 
-def _compared(
+def _classify_by_comparison(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
     kinds: tuple[CasterKind, ...],
     casters: Casters,
     settings: HybridSettings,
-    wanted: np.ndarray,
+    receiver_mask: np.ndarray,
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
@@ -98,10 +98,10 @@ def _compared(
         with log.run(passes[1]):
             pass
     visibility = visibility_by_maps(maps, buffer, scene, light, kinds, casters, map_settings, (passes[1], passes[2]), log)
-    verdict = np.where(visibility < 0.5, np.uint8(SHADED), np.uint8(255 - SHADED))
-    verdict[wanted & (visibility > 0.0) & (visibility < 1.0)] = MASKED
-    verdict[buffer.view.rows :][wanted[buffer.view.rows :]] = MASKED
-    return verdict
+    classes = np.where(visibility < 0.5, np.uint8(SHADED), np.uint8(255 - SHADED))
+    classes[receiver_mask & (visibility > 0.0) & (visibility < 1.0)] = MASKED
+    classes[buffer.view.rows :][receiver_mask[buffer.view.rows :]] = MASKED
+    return classes
 
 
 def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
@@ -117,14 +117,16 @@ ALGORITHM = Algorithm(
     fill=fill,
     passes=PASSES,
     refuses={
-        **NO_VOLUME,
+        **VOLUME_REFUSALS,
         "area light": "its map leaves pixels at hard edges to volumes, and a penumbra has no hard edge (shadow_volume serves it)",
     },
     layers=("shadow-map", "stencil", "silhouettes", "volumes"),
     settings=(HybridSettings,),
     resolve=resolve_hybrid,
     keeps=("skugga.shadows.hybrid.maps", *KEEPS),
-    search=Search(map_sizes_beside=FEW_MAP_SIZES, hopeless=too_much_ground, variants=({"mask": "original"}, {"map_size": 2048})),
+    search=Search(
+        companion_map_sizes=FEW_MAP_SIZES, is_excluded=has_too_much_ground, variants=({"mask": "original"}, {"map_size": 2048})
+    ),
     cost=Cost(
         hybrid_work,
         passes={"silhouettes": "silhouettes", "conservative map": "map", "counting": "stencil"},

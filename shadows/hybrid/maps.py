@@ -80,7 +80,7 @@ class _Window:
         return self.lamp, self.near_m, self.size, tuple(float(v) for array in arrays for v in array.ravel())
 
 
-_kept: Cache[ConservativeMap] = Cache("skugga.shadows.hybrid.maps", "light", 256 * MIB)
+_map_cache: Cache[ConservativeMap] = Cache("skugga.shadows.hybrid.maps", "light", 256 * MIB)
 
 
 def classify_pixels(
@@ -90,14 +90,14 @@ def classify_pixels(
     kinds: tuple[CasterKind, ...],
     volumes: list[Volumes],
     map_size: int,
-    wanted: np.ndarray,
+    receiver_mask: np.ndarray,
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """Classify the points in the mask ``wanted``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
-    verdict, casting = np.full(wanted.shape, LIT, np.uint8), _on_casters(buffer, scene, light, kinds, wanted)
+    """Classify the points in the mask ``receiver_mask``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
+    classes, casting = np.full(receiver_mask.shape, LIT, np.uint8), _on_casters(buffer, scene, light, kinds, receiver_mask)
     with log.run(passes[1]), log.run(passes[2]):
-        windows = [*_windows(buffer, scene, light, map_size, wanted)]
+        windows = [*_windows(buffer, scene, light, map_size, receiver_mask)]
     for window in windows:
         with log.run(passes[1]) as record:
             drawn, was_kept = _map(window, volumes)
@@ -105,22 +105,24 @@ def classify_pixels(
             record.map_texels += drawn.nearest.size
             record.bytes = max(record.bytes, 3 * drawn.nearest.nbytes)
         with log.run(passes[2]):
-            verdict.ravel()[window.pixels] = classify_points(
+            classes.ravel()[window.pixels] = classify_points(
                 drawn, window.u, window.v, window.depth, window.slack, casting[window.pixels]
             )
-    return verdict
+    return classes
 
 
-def _on_casters(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...], wanted: np.ndarray) -> np.ndarray:
+def _on_casters(
+    buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...], receiver_mask: np.ndarray
+) -> np.ndarray:
     """Return the mask (n,) of a buffer's flattened points that certainly lie on casting triangles.
 
     These are points on front faces, as seen from the light, of meshes without simplified casters. Visible back faces have the
     normal of a front face, so the test uses the corners. Ground casts by its back faces, so it is excluded.
     """
-    solids, out = scene.objects.solids, np.zeros(wanted.size, bool)
+    solids, out = scene.objects.solids, np.zeros(receiver_mask.size, bool)
     if solids is None or "meshes" not in kinds or solids.caster_triangles is not solids.triangles:
         return out
-    pixels = np.flatnonzero(wanted & (buffer.kind == MESHES))
+    pixels = np.flatnonzero(receiver_mask & (buffer.kind == MESHES))
     if len(pixels) and buffer.corners_frame_m is not None:
         a, b, c = buffer.corners_frame_m.reshape(-1, 3, 3)[pixels].astype(np.float64).transpose(1, 0, 2)
         source = np.array(scene.light_position(light, buffer.frame))
@@ -129,36 +131,36 @@ def _on_casters(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[C
 
 
 def map_pictures(
-    buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, wanted: np.ndarray
+    buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, receiver_mask: np.ndarray
 ) -> np.ndarray:
     """Return the maps' nearest depths as pictures side by side: 0 is nearest to the light, 1 has no caster.
 
     The light's up direction is at the top.
     """
     arrays = []
-    for window in _windows(buffer, scene, light, map_size, wanted):
+    for window in _windows(buffer, scene, light, map_size, receiver_mask):
         nearest = _map(window, volumes)[0].nearest
-        there = np.isfinite(nearest)
-        low, high = min(nearest[there].min(initial=np.inf), window.depth.min()), window.depth.max()
-        share = np.where(there, (nearest - low) / max(high - low, 1e-30), 1.0).clip(0.0, 1.0).astype(np.float32)
+        has_caster = np.isfinite(nearest)
+        low, high = min(nearest[has_caster].min(initial=np.inf), window.depth.min()), window.depth.max()
+        share = np.where(has_caster, (nearest - low) / max(high - low, 1e-30), 1.0).clip(0.0, 1.0).astype(np.float32)
         arrays.append(share if window.lamp else share[::-1])
     return tiled_pictures(arrays) if arrays else np.ones((1, 1), np.float32)
 
 
 def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
     """Return the map of a window, and whether it comes from the cache."""
-    conservative = _kept.get(window.key, *volumes)
+    conservative = _map_cache.get(window.key, *volumes)
     if not isinstance(conservative, Missing):
         return conservative, True
-    corners = [_in_texels(window, part.vertices[part.caps], clipped_triangles) for part in volumes]
-    edges = [_in_texels(window, part.vertices[part.edges], clipped_edges) for part in volumes]
+    corners = [_transform_to_texels(window, part.vertices[part.caps], clipped_triangles) for part in volumes]
+    edges = [_transform_to_texels(window, part.vertices[part.edges], clipped_edges) for part in volumes]
     none = np.zeros((0, 3, 3)), np.zeros((0, 2, 3))
     conservative = conservative_map(window.size, np.concatenate([none[0], *corners]), np.concatenate([none[1], *edges]))
-    _kept.put(window.key, *volumes, value=conservative)
+    _map_cache.put(window.key, *volumes, value=conservative)
     return conservative, False
 
 
-def _in_texels(window: _Window, points: np.ndarray, clipped: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
+def _transform_to_texels(window: _Window, points: np.ndarray, clipped: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
     """Transform triangles or edges (n, k, 4) of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane."""
     in_light = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
     if window.lamp:
@@ -171,9 +173,9 @@ def _projected(points: np.ndarray) -> np.ndarray:
     return np.concatenate([points[..., :2] / points[..., 2:], -1.0 / points[..., 2:]], axis=-1)
 
 
-def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wanted: np.ndarray) -> Iterator[_Window]:
+def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, receiver_mask: np.ndarray) -> Iterator[_Window]:
     """Yield the faces of a light's map that contain any points."""
-    pixels, points = np.flatnonzero(wanted), buffer.position_frame_m.reshape(-1, 3)
+    pixels, points = np.flatnonzero(receiver_mask), buffer.position_frame_m.reshape(-1, 3)
     if light == SUN:
         assert scene.light is not None
         rotation, translation = scene.light.from_frame(buffer.frame)
@@ -196,9 +198,9 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wa
         error_m = POSITION_ERROR * max(largest_m, 1.0)
         near_m, slack, error = 0.0, np.float64(4.0 * error_m), np.full(2, error_m)
         if light != SUN:
-            least_m = -1.0 / low[2]
-            near_m, slack = NEAR_SHARE * least_m, 4.0 * error_m * depth**2
-            error = error_m / least_m * (1.0 + np.maximum(np.abs(low[:2]), np.abs(high[:2])))
+            min_distance_m = -1.0 / low[2]
+            near_m, slack = NEAR_SHARE * min_distance_m, 4.0 * error_m * depth**2
+            error = error_m / min_distance_m * (1.0 + np.maximum(np.abs(low[:2]), np.abs(high[:2])))
         low, high = low[:2], high[:2]
         texel = np.maximum((high - low) / max(map_size - 2 * HYBRID_BORDER_TEXELS - 1, 1), FINEST_ERRORS * error)
         first = low - HYBRID_BORDER_TEXELS * texel

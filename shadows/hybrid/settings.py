@@ -23,9 +23,9 @@ class HybridSettings(StencilSettings):
     mask: Literal["conservative", "original"] = "conservative"
 
     @property
-    def asked_as(self) -> dict[str, Any]:
+    def as_overrides(self) -> dict[str, Any]:
         """The settings as keys and values of a level's ``shadows``, those of the map included."""
-        return super().asked_as | self.map.asked_as
+        return super().as_overrides | self.map.as_overrides
 
     @property
     def label(self) -> list[str]:
@@ -40,7 +40,7 @@ def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:
     wish = asked.model_copy(update={"map_size": size, "cascades": 1, "filter": 2, "bias": "normal_offset", "culling": "none"})
     settings, _ = resolve_uniform_map(SettingsRequest(request.descriptor, request.light, wish))
     mask = "conservative" if asked.mask == "auto" else asked.mask
-    reasons = request.without_filter("hybrid")
+    reasons = request.ignored_filter_reasons("hybrid")
     if asked.map_size == "auto":
         reasons.append(Reasoned(name=f"map_size {size}", reason="a small map: shadow volumes decide where it cannot"))
     if asked.mask == "auto":

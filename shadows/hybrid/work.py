@@ -21,7 +21,7 @@ def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
     texel_px, size = _texel_px(task, settings.map.map_size)
     counting = {
         task.by_view("silhouettes"): silhouette_counts(task),
-        task.by_view("counting"): stencil_counts(task, settings, _uncertain(task, texel_px + CULLING_TILE_PX)),
+        task.by_view("counting"): stencil_counts(task, settings, _masked_share(task, texel_px + CULLING_TILE_PX)),
     }
     if settings.mask == "original":
         return counting | shadow_map_work(task, settings.map)
@@ -44,7 +44,7 @@ def _texel_px(task: Workload, map_size: int) -> tuple[float, float]:
     return texel_m / task.descriptor.pixel_m, across_m / texel_m
 
 
-def _uncertain(task: Workload, side_px: float) -> float:
+def _masked_share(task: Workload, side_px: float) -> float:
     """Return the share of the picture in squares of a side (pixels) with a shadow edge; 1 without facts on casters."""
     if not task.facts.casts:
         return 1.0

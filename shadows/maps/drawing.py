@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from skugga.shadows.maps.relevant_trees import relevant_trees
 from skugga.shadows.maps.settings import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from skugga.shadows.maps.trees_that_matter import trees_that_matter
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
 from skugga.terrain.cache import IdentityKey
@@ -32,7 +32,7 @@ MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
 
 M = TypeVar("M")
 
-ROOM_TEXELS = 512
+TEXTURE_STEP = 512
 """Sides of textures of larger maps are multiples of this."""
 
 POLYGON_OFFSET = 1.1, 4.0
@@ -41,7 +41,7 @@ POLYGON_OFFSET = 1.1, 4.0
 
 def draw_map(
     gl: Device,
-    drawn: DepthMap,
+    depth_map: DepthMap,
     buffer: GeometryBuffer,
     scene: Scene,
     kinds: tuple[CasterKind, ...],
@@ -55,38 +55,38 @@ def draw_map(
     one.
     """
     meshes = caster_meshes(scene, buffer, kinds)
-    trees = _trees_drawn(drawn, buffer, settings.filter == "sun")
+    trees = _trees_drawn(depth_map, buffer, settings.filter == "sun")
     # A block's sheets are made for every picture of it, so its pictures are cached instead.
-    content = None if isinstance(buffer.view, MapView) else _content(drawn, settings, meshes, trees)
+    content = None if isinstance(buffer.view, MapView) else _content_key(depth_map, settings, meshes, trees)
     kept = None if content is None else gl.depth_targets.kept(content)
     if kept is not None:
         record.kept += 1
-        record.bytes = max(record.bytes, drawn.nbytes)
+        record.bytes = max(record.bytes, depth_map.nbytes)
         return kept
-    width, height = drawn.size
-    across, down = drawn.texture_size
-    target = gl.depth_target(_with_room(across), _with_room(down), drawn.depth_bits)
-    solid = gl.program(shader(drawn.shaders[0], "shadows/maps/depth.vert"), shader("shadows/maps/depth.frag"))
-    set_uniforms(solid, drawn.uniforms)
+    width, height = depth_map.size
+    across, down = depth_map.texture_size
+    target = gl.depth_target(_with_room(across), _with_room(down), depth_map.depth_bits)
+    solid = gl.program(shader(depth_map.shaders[0], "shadows/maps/depth.vert"), shader("shadows/maps/depth.frag"))
+    set_uniforms(solid, depth_map.uniforms)
     if trees is not None:
-        vertex = shader(drawn.shaders[0], "terrain/gbuffer/tree", "shadows/maps/depth_tree.vert")
+        vertex = shader(depth_map.shaders[0], "terrain/gbuffer/tree", "shadows/maps/depth_tree.vert")
         leaves = gl.program(vertex, shader("shadows/maps/depth_tree.frag"))
-        set_uniforms(leaves, {**drawn.uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": trees.curvature})
+        set_uniforms(leaves, {**depth_map.uniforms, "foliage": 0, "threshold": THRESHOLD, "curvature": trees.curvature})
     largest = 0
     factor, units = (settings.bias_scale * part if settings.bias == "polygon_offset" else 0.0 for part in POLYGON_OFFSET)
     with gl.depth_pass(target, (factor, units)):
-        for number, face in enumerate(drawn.faces):
+        for number, face in enumerate(depth_map.faces):
             gl.ctx.viewport = (number % 3 * width, number // 3 * height, width, height)
-            if len(drawn.faces) > 1:
-                turned = _turned(drawn.uniforms, face)
+            if len(depth_map.faces) > 1:
+                turned = _turned(depth_map.uniforms, face)
                 set_uniforms(solid, turned)
                 if trees is not None:
                     set_uniforms(leaves, turned)
             for sheet in caster_sheets(scene, buffer, casters, kinds):
                 record.triangles += gl.draw_sheet(solid, sheet.position_frame_m, sheet.triangles)
                 largest = max(largest, sheet.position_frame_m.size * 4 + sheet.triangles.nbytes)
-            for (vertices, triangles), culled in _culled(meshes, scene, kinds, settings.culling):
-                with gl.front_culled(_is_mirrored(drawn)) if culled else nullcontext():
+            for (vertices, triangles), culled in _with_culling(meshes, scene, kinds, settings.culling):
+                with gl.cull_front_faces(_is_mirrored(depth_map)) if culled else nullcontext():
                     record.triangles += gl.draw_triangles(solid, vertices, triangles)
                 largest = max(largest, len(vertices) * 12 + triangles.nbytes)
             if trees is not None:
@@ -95,15 +95,15 @@ def draw_map(
                 instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", variant)]
                 record.triangles += gl.draw_instances(leaves, QUAD_TRIANGLES, instances)
                 largest = max(largest, len(trees) * 40)
-    record.map_texels += drawn.texels
-    record.bytes = max(record.bytes, drawn.nbytes + largest)
+    record.map_texels += depth_map.texels
+    record.bytes = max(record.bytes, depth_map.nbytes + largest)
     gl.check("depth map")
     if content is not None:
         gl.depth_targets.keep(target, content)
     return target
 
 
-def drawn_ahead(maps: Sequence[M], draw: Callable[[M], Framebuffer]) -> Iterator[tuple[M, Framebuffer]]:
+def draw_ahead(maps: Sequence[M], draw: Callable[[M], Framebuffer]) -> Iterator[tuple[M, Framebuffer]]:
     """Yield maps with the framebuffers that ``draw`` returns, drawing one map ahead.
 
     The next map is drawn before a map is yielded. An asynchronous device then works while the map is read and sampled.
@@ -114,13 +114,13 @@ def drawn_ahead(maps: Sequence[M], draw: Callable[[M], Framebuffer]) -> Iterator
         yield each, ahead.pop(0)
 
 
-def depths(gl: Device, drawn: DepthMap, target: Framebuffer) -> np.ndarray:
+def depths(gl: Device, depth_map: DepthMap, target: Framebuffer) -> np.ndarray:
     """Return a map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts.
 
     The light's up is the upper row.
     """
-    texels = gl.read(target, -1, size=drawn.texture_size)
-    return texels if drawn.uniforms["lamp"] else texels[::-1]
+    texels = gl.read(target, -1, size=depth_map.texture_size)
+    return texels if depth_map.uniforms["lamp"] else texels[::-1]
 
 
 def _with_room(side: int) -> int:
@@ -128,10 +128,10 @@ def _with_room(side: int) -> int:
 
     The sizes of maps that follow a camera or the sun differ a little. Rounding lets them share a texture.
     """
-    return min(-(-side // ROOM_TEXELS) * ROOM_TEXELS, device().max_size) if side > ROOM_TEXELS else side
+    return min(-(-side // TEXTURE_STEP) * TEXTURE_STEP, device().max_size) if side > TEXTURE_STEP else side
 
 
-def _culled(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling) -> list[tuple[Mesh, bool]]:
+def _with_culling(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling) -> list[tuple[Mesh, bool]]:
     """Return the meshes and ground to draw, each with whether its front faces are culled: those of closed bodies alone."""
     if culling == "none" or "meshes" not in kinds or scene.objects.solids is None:
         return [(mesh, False) for mesh in meshes]
@@ -140,27 +140,27 @@ def _culled(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], cul
     return [*((mesh, False) for mesh in ground), ((vertices, triangles[closed]), True), ((vertices, triangles[~closed]), False)]
 
 
-def _is_mirrored(drawn: DepthMap) -> bool:
+def _is_mirrored(depth_map: DepthMap) -> bool:
     """Return whether corners counter-clockwise as seen from the light are clockwise in the map."""
-    return bool(np.linalg.det(np.array(drawn.uniforms["light_from_frame"]).reshape(3, 3)) > 0.0)
+    return bool(np.linalg.det(np.array(depth_map.uniforms["light_from_frame"]).reshape(3, 3)) > 0.0)
 
 
-def _content(drawn: DepthMap, settings: MapSettings, meshes: list[Mesh], trees: TreeInstances | None) -> Hashable:
+def _content_key(depth_map: DepthMap, settings: MapSettings, meshes: list[Mesh], trees: TreeInstances | None) -> Hashable:
     """Return the cache key of a map: all that its drawing reads.
 
     Numbers count by value, and immutable geometry by array identity.
     """
-    all_trees = [] if drawn.trees is None else [drawn.trees]
+    all_trees = [] if depth_map.trees is None else [depth_map.trees]
     geometry = tuple(IdentityKey(part) for part in (*(array for mesh in meshes for array in mesh), *all_trees))
-    some = None if trees is None or trees is drawn.trees else sha256(trees.number.tobytes()).digest()
-    return settings, drawn.size, len(drawn.faces), tuple(drawn.uniforms.items()), geometry, some
+    tree_digest = None if trees is None or trees is depth_map.trees else sha256(trees.number.tobytes()).digest()
+    return settings, depth_map.size, len(depth_map.faces), tuple(depth_map.uniforms.items()), geometry, tree_digest
 
 
-def _trees_drawn(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> TreeInstances | None:
+def _trees_drawn(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> TreeInstances | None:
     """Return a map's trees, without those that shade no visible point."""
-    if drawn.trees is None or drawn.reach is None:
-        return drawn.trees
-    return drawn.trees.some(trees_that_matter(drawn, buffer, soft))
+    if depth_map.trees is None or depth_map.reach is None:
+        return depth_map.trees
+    return depth_map.trees.select(relevant_trees(depth_map, buffer, soft))
 
 
 def _turned(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skugga.shadows.maps.drawing import MapSettings, depths, draw_map, drawn_ahead
+from skugga.shadows.maps.drawing import MapSettings, depths, draw_ahead, draw_map
 from skugga.shadows.maps.lookup import look_up
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassLog
@@ -60,12 +60,12 @@ def visibility_by_maps(
             return visibility
     gl = device()
 
-    def draw(drawn: DepthMap) -> Framebuffer:
+    def draw(depth_map: DepthMap) -> Framebuffer:
         with log.run(draw_pass) as record:
-            return draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
+            return draw_map(gl, depth_map, buffer, scene, kinds, casters, settings, record)
 
-    for drawn, target in drawn_ahead(maps, draw):
-        log.keep("shadow-map", light, depths, gl, drawn, target)
+    for depth_map, target in draw_ahead(maps, draw):
+        log.keep("shadow-map", light, depths, gl, depth_map, target)
         with log.run(look_up_pass) as record:
-            look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
+            look_up(gl, depth_map, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
     return visibility

@@ -21,8 +21,8 @@ from skugga.shadows.maps.post_perspective import (
     Camera,
     Light,
     fit_to_bounds,
-    horizon_m,
-    is_clear,
+    horizon_distance,
+    is_clear_of_horizon,
     post_perspectives,
     projected,
     texel_in_picture,
@@ -34,7 +34,7 @@ from skugga.shadows.maps.texels import perspective_map_texel_px, texel_on_level_
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, depth_steps
 from skugga.shadows.maps.work import perspective_map_work
 from skugga.shadows.passes import PassLog
-from skugga.terrain.casters.casting import anything_casts, caster_trees
+from skugga.terrain.casters.casting import caster_trees, has_casters
 from skugga.terrain.casters.reach import Casters
 from skugga.terrain.compiled import compiled
 from skugga.terrain.facts.descriptor import Descriptor
@@ -56,7 +56,7 @@ ROUNDS = 8
 TOLERANCE = 1.125
 """Upper bound of the map coordinates of receivers outside of the sample, as a multiple of the map's inner half width."""
 
-ERROR = 2.0 * POSITION_ERROR
+CLIP_ERROR = 2.0 * POSITION_ERROR
 """Upper bound of the float32 error of positions, as a share of their coordinates."""
 
 MOST_TEXEL_PX = 4.0
@@ -68,7 +68,7 @@ Above it the view gets several maps, since some edges are then off by over two p
 MOST_RANGES = 4
 """Upper bound of the number of maps: that of the cascades of a shadow map."""
 
-BEFORE = 0.01
+FRONT_SHARE = 0.01
 """Share of the map's depth range in front of the nearest receiver."""
 
 
@@ -91,7 +91,7 @@ def fill(
     trees = caster_trees(buffer, kinds)
     with log.run(depth_pass) as record:  # fitting a map is part of making it
         receivers = buffer.there & ~attached(buffer, scene, light)
-        shaded = receivers.any() and anything_casts(scene, buffer, kinds)
+        shaded = receivers.any() and has_casters(scene, buffer, kinds)
         fitted = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
         record.note = next(filter(None, [record.note, *(each.note for each in fitted)]), "")  # the first note of any part of a view
     maps = [each.drawn for each in fitted]
@@ -137,14 +137,14 @@ def perspective_maps(
     ahead_m = (buffer.position_frame_m[receivers] - eye) @ camera_from_frame[2]
     octaves = np.log2(ahead_m / ahead_m.min())
     for count in range(2, MOST_RANGES + 1):
-        least_px = max(each.texel_px for each in best)
-        if least_px <= MOST_TEXEL_PX or octaves.max() < count:
+        coarsest_px = max(each.texel_px for each in best)
+        if coarsest_px <= MOST_TEXEL_PX or octaves.max() < count:
             break
         number = np.full(receivers.shape, -1)
         number[receivers] = np.minimum((count * octaves / octaves.max()).astype(np.int64), count - 1)
-        ranges = [here for here in (number == each for each in range(count)) if here.any()]
-        parted = [perspective_map(buffer, here, scene, light, settings, trees) for here in ranges]
-        if max(each.texel_px for each in parted) < least_px:
+        ranges = [range_mask for range_mask in (number == each for each in range(count)) if range_mask.any()]
+        parted = [perspective_map(buffer, range_mask, scene, light, settings, trees) for range_mask in ranges]
+        if max(each.texel_px for each in parted) < coarsest_px:
             best = parted
     return best
 
@@ -169,29 +169,29 @@ def perspective_map(
     nearest = NEAREST_SHARE * float((sample @ uniform[:3] + uniform[3]).max()) if light != SUN else 0.0
     rim = sample[:0]
     for _ in range(ROUNDS):
-        best, *others = post_perspectives(camera, source, sample, inner, rim)
+        best, *fallbacks = post_perspectives(camera, source, sample, inner, rim)
         low, high, outermost = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
-        if is_clear(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= TOLERANCE * inner:
+        if is_clear_of_horizon(np.array([low[3], high[3]])) and max(-low[:2].min(), high[:2].max()) <= TOLERANCE * inner:
             break
         rim = np.concatenate([rim, position[outermost]])
-    while not is_clear(np.array([low[3], high[3]])):
-        best, *others = others
+    while not is_clear_of_horizon(np.array([low[3], high[3]])):
+        best, *fallbacks = fallbacks
         low, high, _ = _bounds(best.clip_from_frame, uniform, nearest, position, chosen)
-    error_m = ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
+    error_m = CLIP_ERROR * np.linalg.norm(triangles, axis=-1).max(axis=1)
     narrow = np.maximum(_least_sides(best.clip_from_frame, sample, error_m, settings.map_size) - (high - low)[:2], 0.0)
     low[:2], high[:2] = low[:2] - narrow / 2.0, high[:2] + narrow / 2.0
     half_texels = np.array([settings.map_size / 2, settings.map_size / 2, 1.0, 1.0])[:, None]
     flat = half_texels * fit_to_bounds(best.clip_from_frame, np.array([*low[:2], -1.0]), np.array([*high[:2], 1.0]), inner)
     taps = 1 if settings.filter == "sun" else settings.filter
     low[2] = min(low[2], float(_clear_depths(flat, sample, triangles, error_m, taps / 2.0).min()))
-    clip = fit_to_bounds(best.clip_from_frame, low[:3], high[:3], inner, BEFORE)
+    clip = fit_to_bounds(best.clip_from_frame, low[:3], high[:3], inner, FRONT_SHARE)
     size = settings.map_size
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
     uniforms = {
         "lamp": False,
         "clip_rows": tuple(clip.ravel()),  # GLSL matrices are column-major: these columns are the rows
         "map_rows": tuple((to_texels @ clip).ravel()),
-        "position_error": ERROR,
+        "position_error": CLIP_ERROR,
         "depth_step": 1.0 / depth_steps(settings.depth_bits),
     }
     reach = None
@@ -212,7 +212,7 @@ def _least_sides(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, ma
 
     They apply to a single receiver, or to a few at one place, where finer texels would resolve rounding only.
     """
-    w = horizon_m(matrix, points)[:, None]
+    w = horizon_distance(matrix, points)[:, None]
     projected_xy = projected(matrix, points)[:, :2]
     per_m = np.linalg.norm(matrix[None, :2, :3] - projected_xy[..., None] * matrix[3, :3], axis=-1) / w
     return 4.0 * map_size * (error_m[:, None] * per_m).max(axis=0)
@@ -225,7 +225,7 @@ def _clear_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, e
     is deeper by all that the comparison subtracts, and its triangle begins no earlier at the texels up to ``reach`` beside it. The
     bound takes twice the amount that the shader subtracts, but not its share of the whole range.
     """
-    w = horizon_m(matrix, points)[:, None]
+    w = horizon_distance(matrix, points)[:, None]
     in_map = projected(matrix, points)
     per_m = np.linalg.norm(matrix[None, :3, :3] - in_map[..., None] * matrix[3, :3], axis=-1) / w
     sides = corners - points[:, None]
@@ -303,8 +303,8 @@ def _texel_m(
     trees, texel_m = caster_trees(buffer, kinds), np.zeros(buffer.there.shape)
     for each in perspective_maps(buffer, receivers, scene, light, settings, trees):
         assert each.drawn.pixels is not None
-        here, map_rows = np.unravel_index(each.drawn.pixels, texel_m.shape), np.reshape(each.drawn.uniforms["map_rows"], (4, 4))
-        texel_m[here] = texel_on_level_ground_m(map_rows, buffer.position_frame_m[here])
+        places, map_rows = np.unravel_index(each.drawn.pixels, texel_m.shape), np.reshape(each.drawn.uniforms["map_rows"], (4, 4))
+        texel_m[places] = texel_on_level_ground_m(map_rows, buffer.position_frame_m[places])
     return texel_m
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.shadows.maps.windows import DepthMap
-from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 
 
 class SunMap(NamedTuple):
@@ -95,20 +95,20 @@ class LitPoints(NamedTuple):
     corners: np.ndarray
 
 
-def sun_map(drawn: DepthMap, depths: np.ndarray) -> SunMap:
+def sun_map(depth_map: DepthMap, depths: np.ndarray) -> SunMap:
     """Return a drawn map for the loop, with its depths (rows, cols) as read: float32, or uint16 in steps."""
-    given = drawn.uniforms
+    uniforms = depth_map.uniforms
     single = np.float32
     return SunMap(
         depths, single(1.0 if depths.dtype == single else 2**16 - 1),
-        np.array(given["light_from_frame"], single).reshape(3, 3).T.copy(), np.array(given["light_offset_m"], single),
-        single(given["window_m"][2]), np.array(given["texel_m"], single), single(given["error_m"]), single(given["depth_step"]),
+        np.array(uniforms["light_from_frame"], single).reshape(3, 3).T.copy(), np.array(uniforms["light_offset_m"], single),
+        single(uniforms["window_m"][2]), np.array(uniforms["texel_m"], single), single(uniforms["error_m"]), single(uniforms["depth_step"]),
     )  # fmt: skip
 
 
 def look_points_up(sun: SunMap, comparison: DepthComparison, points: LitPoints, chosen: np.ndarray, visibility: np.ndarray) -> None:
     """Write the share of lit texels around the ``chosen`` points (indices) to ``visibility`` (n,) float32."""
-    in_shares(len(chosen), _look_up, sun, comparison, points, chosen, visibility)
+    run_in_chunks(len(chosen), _look_up, sun, comparison, points, chosen, visibility)
 
 
 @compiled
@@ -132,7 +132,7 @@ def _look_up(first, last, sun, comparison, points, chosen, visibility):
             if counted > np.float32(0.0):
                 visibility[i] = lit / counted
                 continue
-        visibility[i] = _beside_triangles(sun, comparison, clear)
+        visibility[i] = _without_triangle(sun, comparison, clear)
 
 
 @internal
@@ -237,8 +237,8 @@ def _on_own_triangle(sun, comparison, p, corners, i):
             u, v = aside_x * gy - aside_y * gx, ex * aside_y - ey * aside_x
             if not (u >= zero and v >= zero and u + v <= one):
                 continue
-            there = az + (slope_x * aside_x + slope_y * aside_y)
-            z = p[2] * (one - scale) + there * scale - slack
+            triangle_z = az + (slope_x * aside_x + slope_y * aside_y)
+            z = p[2] * (one - scale) + triangle_z * scale - slack
             weight = one
             if taps > 1:
                 weight = max(_weight(taps, col, beyond_x) * _weight(taps, row, beyond_y), np.float32(1e-6))
@@ -249,7 +249,7 @@ def _on_own_triangle(sun, comparison, p, corners, i):
 
 
 @internal
-def _beside_triangles(sun, comparison, clear):
+def _without_triangle(sun, comparison, clear):
     """Return the lit share of the taps around a point that was moved clear, wherever their texels lie."""
     count, zero, one = comparison.taps_beside, np.float32(0.0), np.float32(1.0)
     rounding = np.float32(0.5) * sun.depth_step if comparison.by_offset else zero

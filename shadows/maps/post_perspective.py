@@ -155,7 +155,7 @@ def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
 def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
     """Return the light's perspective (4, 4) in plain space: uniform texels across the sun's rays, or across a lamp's axis."""
-    return light_matrix(light.homogeneous, light.ahead_m if light.homogeneous[3] else _amid(points))
+    return light_matrix(light.homogeneous, light.ahead_m if light.homogeneous[3] else _centre(points))
 
 
 def post_perspectives(
@@ -170,14 +170,14 @@ def post_perspectives(
     uniform = uniform_matrix(light, points)
     outline = np.concatenate([points[_outline(projected(uniform, points)[:, :2])], rim])
     held = np.concatenate([points, rim])
-    seen, ahead = camera.seen(points), horizon_m(uniform, held)
+    seen, ahead = camera.seen(points), horizon_distance(uniform, held)
     aside, pixels = _in_picture(camera, light, points)
 
     def made(matrix: np.ndarray, kind: PostPerspectiveLightKind | None, slide_m: float, note: str = "") -> PostPerspective:
         matrix = _filled(matrix, outline, inner)
         return PostPerspective(matrix, kind, slide_m, _texel(matrix, points, aside, pixels), note)
 
-    off_deg = _off_axis_deg(camera, light, _amid(points))
+    off_deg = _off_axis_deg(camera, light, _centre(points))
     if off_deg <= CONE_DEG:
         why = f"the light stands {off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}"
         return [made(uniform, None, np.inf, f"a uniform map: {why}")]
@@ -188,8 +188,8 @@ def post_perspectives(
     for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, DOUBLINGS + 1))):
         view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), LEAST_EXTENT), near, far, slide_m)
         seen_light = view @ light.homogeneous
-        matrix = light_matrix(seen_light, _amid(projected(view, points))) @ view
-        if is_clear(horizon_m(matrix, held) / ahead):
+        matrix = light_matrix(seen_light, _centre(projected(view, points))) @ view
+        if is_clear_of_horizon(horizon_distance(matrix, held) / ahead):
             candidates.append(made(matrix, kind_of(seen_light), float(slide_m)))
     why = "every slide-back has larger texels" if candidates else "no slide-back keeps all that is seen off the map's horizon"
     last = made(uniform, None, np.inf, f"a uniform map: {why}")
@@ -215,13 +215,13 @@ def _in_picture(camera: Camera, light: Light, points: np.ndarray) -> tuple[np.nd
     return aside, _pixels(camera, camera.seen(points), aside)
 
 
-def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float = 0.0) -> np.ndarray:
+def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, front_share: float = 0.0) -> np.ndarray:
     """Return a map's matrix, scaled so that bounds (3,) of x and y map to -``inner`` and ``inner``.
 
-    The bounds of z map to -1 and 1, with the share ``before`` of that range in front of them.
+    The bounds of z map to -1 and 1, with the share ``front_share`` of that range in front of them.
     """
     span = np.maximum(high - low, 1e-9 * (1.0 + np.abs(high)))
-    low, high = low - np.array([0.0, 0.0, before / (1.0 - before) * span[2]]), low + span
+    low, high = low - np.array([0.0, 0.0, front_share / (1.0 - front_share) * span[2]]), low + span
     scale = np.array([2.0 * inner, 2.0 * inner, 2.0]) / (high - low)
     out = matrix.copy()
     out[:3] = scale[:, None] * (matrix[:3] - 0.5 * (low + high)[:, None] * matrix[3])
@@ -234,17 +234,17 @@ def projected(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     return homogeneous[:, :3] / homogeneous[:, 3:]
 
 
-def horizon_m(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+def horizon_distance(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the distance w of points (n, 3) in front of a map's horizon, in the map's own unit."""
     return points @ matrix[3, :3] + matrix[3, 3]
 
 
-def is_clear(away: np.ndarray) -> bool:
+def is_clear_of_horizon(away: np.ndarray) -> bool:
     """Return whether all distances from a horizon (n,), as shares of those in the uniform map, are well above 0."""
     return bool(np.isfinite(away).all() and away.min() >= HORIZON_MARGIN * away.max() > 0.0)
 
 
-def _amid(points: np.ndarray) -> np.ndarray:
+def _centre(points: np.ndarray) -> np.ndarray:
     """Return the centre (3,) of the bounds of points (n, 3)."""
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 

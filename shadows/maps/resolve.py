@@ -48,7 +48,7 @@ PERSPECTIVE_TEXELS = 1024
 A perspective map concentrates its texels where the eye sees them, so few suffice.
 """
 
-NO_CHOICE = {
+FIXED_SETTINGS = {
     "fit": ("tight", "a perspective map follows the camera: its fit is always tight"),
     "cascades": (1, "a perspective map is fine near the eye, and parted by itself where it would be too coarse"),
     "bias": ("receiver_plane", "a perspective map is compared on the receiver's own triangle"),
@@ -85,8 +85,8 @@ def calibrated_maps(descriptor: Descriptor, light: str, grid: str) -> Calibrated
 
 def resolve_shadow_map(request: SettingsRequest) -> ResolvedSettings:
     """Return the settings of a light's shadow map, and the reasons for automatic values. Raises ``UnsupportedError``."""
-    settings, reasons = resolve_uniform_map(replace(request, shadows=request.sharpened))
-    return settings, [*request.why_sharpened, *reasons]
+    settings, reasons = resolve_uniform_map(replace(request, shadows=request.effective_shadows))
+    return settings, [*request.hard_edges_reasons, *reasons]
 
 
 def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[Reasoned]]:
@@ -107,10 +107,10 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
     footprints_px = [float(_footprint(extent, altitude).max()) / pixel_m for _, extent, pixel_m in runs]
     size, bits, taps = shadows.map_size, shadows.depth_bits, shadows.filter
     if size == "auto":
-        wished_px = _wished_px(descriptor) if descriptor.bands else TEXEL_PX
-        size = _power(max(footprints_px) / wished_px, LARGEST_MAP)
+        target_px = _target_px(descriptor) if descriptor.bands else TEXEL_PX
+        size = _automatic_size(max(footprints_px) / target_px, LARGEST_MAP)
         covers_px = max(footprints_px) / (size - 2 * MAP_BORDER_TEXELS)
-        more = f", above the target of {wished_px}: this is the largest automatic size" if covers_px > wished_px else ""
+        more = f", above the target of {target_px}: this is the largest automatic size" if covers_px > target_px else ""
         reasons.append(Reasoned(name=f"map_size {size}", reason=f"a texel covers {covers_px:.2f} pixels of level ground{more}"))
     texels = [extent[:2] / (size - 2 * MAP_BORDER_TEXELS) for _, extent, _ in runs]
     ranges_m = [run[1][2] * 1.1 + 3 * MAP_BORDER_TEXELS * float(texel.max()) for run, texel in zip(runs, texels, strict=True)]
@@ -155,22 +155,26 @@ def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
 
     Raises ``UnsupportedError`` for the penumbra of a point light.
     """
-    light, descriptor, taps = request.light, request.descriptor, request.sharpened.filter
-    who = "" if light == SUN else f"{light}: "
+    light, descriptor, taps = request.light, request.descriptor, request.effective_shadows.filter
+    prefix = "" if light == SUN else f"{light}: "
     if request.is_area:
         what = "the sun's disc" if light == SUN else "the lamp's ball"
-        return "sun", [Reasoned(name=f"{who}filter sun", reason=f"the mean of maps from {request.light_points} points of {what}")]
+        return "sun", [
+            Reasoned(name=f"{prefix}filter sun", reason=f"the mean of maps from {request.light_points} points of {what}")
+        ]
     if taps == "sun" and descriptor.highest_sun_deg is None:
         reason = f"the lamp '{light}' has no radius, so it is a point without a penumbra: it takes 1, 2, 3 or 5 taps a side"
         raise UnsupportedError("filter", "sun", reason)
     if taps == "sun":
-        return 3, [Reasoned(name=f"{who}filter 3", reason=f"{light} has no radius: it is a point without a penumbra")]
+        return 3, [Reasoned(name=f"{prefix}filter 3", reason=f"{light} has no radius: it is a point without a penumbra")]
     lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
     if taps == "auto" and lamp is not None and lamp.radius_m > 0.0:
-        return 3, [Reasoned(name=f"{who}filter 3", reason=f"{light}'s penumbrae are narrower than a pixel: a point casts the same")]
+        return 3, [
+            Reasoned(name=f"{prefix}filter 3", reason=f"{light}'s penumbrae are narrower than a pixel: a point casts the same")
+        ]
     if taps == "auto":
         why = "by the wrong share of the cast shadow: 3 x 3 taps smooth the texel stairs along shadow edges"
-        return 3, [Reasoned(name=f"{who}filter 3", reason=why)]
+        return 3, [Reasoned(name=f"{prefix}filter 3", reason=why)]
     return taps, []
 
 
@@ -181,7 +185,7 @@ def lamp_map_settings(
     across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = shadows.map_size, []
     if size == "auto":
-        size = _power(across_m / descriptor.pixel_m / TEXEL_PX, LARGEST_MAP // 2 if lamp.kind == "omni" else LARGEST_MAP)
+        size = _automatic_size(across_m / descriptor.pixel_m / TEXEL_PX, LARGEST_MAP // 2 if lamp.kind == "omni" else LARGEST_MAP)
         texel_px = across_m / (size - 2 * MAP_BORDER_TEXELS) / descriptor.pixel_m
         why = f"a texel covers {texel_px:.2g} pixels at the target"
         reasons.append(Reasoned(name=f"{lamp.name}: map_size {size}", reason=why))
@@ -195,25 +199,25 @@ def lamp_map_settings(
 
 def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
     """Return the settings of a light's perspective map, and the reasons for automatic values. Raises ``UnsupportedError``."""
-    light, asked = request.light, request.sharpened
-    who = "" if light == SUN else f"{light}: "
+    light, shadows = request.light, request.effective_shadows
+    prefix = "" if light == SUN else f"{light}: "
     reasons = [
-        *request.why_sharpened,
+        *request.hard_edges_reasons,
         *(
-            Reasoned(name=f"{who}{key} {getattr(asked, key)}", reason=f"no effect: {why}")
-            for key, (only, why) in NO_CHOICE.items()
-            if getattr(asked, key) not in ("auto", only)
+            Reasoned(name=f"{prefix}{key} {getattr(shadows, key)}", reason=f"no effect: {why}")
+            for key, (only, why) in FIXED_SETTINGS.items()
+            if getattr(shadows, key) not in ("auto", only)
         ),
     ]
-    size, bits = asked.map_size, asked.depth_bits
+    size, bits = shadows.map_size, shadows.depth_bits
     taps, why_taps = _taps(request)
     if size == "auto":
         size = PERSPECTIVE_TEXELS
-        reasons.append(Reasoned(name=f"{who}map_size {size}", reason="texels are small near the eye: few are enough"))
+        reasons.append(Reasoned(name=f"{prefix}map_size {size}", reason="texels are small near the eye: few are enough"))
     if bits == "auto":
         bits = 24 if light == SUN else 32
         why = "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
-        reasons.append(Reasoned(name=f"{who}depth_bits {bits}", reason=f"{why}: 16 bits are too coarse far away"))
+        reasons.append(Reasoned(name=f"{prefix}depth_bits {bits}", reason=f"{why}: 16 bits are too coarse far away"))
     return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps, light_points=request.light_points), [
         *reasons,
         *why_taps,
@@ -238,7 +242,7 @@ def _cascades(
     if not descriptor.bands or descriptor.pixel is None:
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
 
-    bands, pixel, wished_px = descriptor.bands, descriptor.pixel, _wished_px(descriptor)
+    bands, pixel, target_px = descriptor.bands, descriptor.pixel, _target_px(descriptor)
     extent_m, near_m, nearness = _of_runs(bands)
     texels_a_pixel = (extent_m[..., :2] / np.array([1.0, np.sin(altitude)])).max(axis=-1) / pixel  # at distance 1
     options = []
@@ -246,29 +250,29 @@ def _cascades(
         first, last = _splits(len(bands), count)
         worst_px = (texels_a_pixel[first, last] / near_m[first]).max(axis=1)
         worst = float(worst_px.min())
-        size = _power(worst / wished_px, LARGEST_MAP) if shadows.map_size == "auto" else shadows.map_size
+        size = _automatic_size(worst / target_px, LARGEST_MAP) if shadows.map_size == "auto" else shadows.map_size
         inner = size - 2 * MAP_BORDER_TEXELS
-        most = np.inf if shadows.map_size != "auto" else max(worst, wished_px * inner)
-        mean_px = np.where(worst_px <= most, (texels_a_pixel[first, last] * nearness[first, last]).sum(axis=1), np.inf)
+        max_px = np.inf if shadows.map_size != "auto" else max(worst, target_px * inner)
+        mean_px = np.where(worst_px <= max_px, (texels_a_pixel[first, last] * nearness[first, last]).sum(axis=1), np.inf)
         best = int(np.argmin(mean_px))
         options.append(
-            (max(worst / inner, wished_px), first.shape[1] * size**2, inner, float(worst_px[best]), first[best], last[best])
+            (max(worst / inner, target_px), first.shape[1] * size**2, inner, float(worst_px[best]), first[best], last[best])
         )
     _, _, inner, worst, first, last = min(options, key=lambda option: option[:2])
     if shadows.cascades == "auto":
-        why = f"a texel covers at most {worst / inner:.2g} pixels (target: {wished_px:g}), with as few texels in total as possible"
+        why = f"a texel covers at most {worst / inner:.2g} pixels (target: {target_px:g}), with as few texels in total as possible"
         reasons.append(Reasoned(name=f"cascades {len(first)}", reason=why))
     far_m = [*(bands[j].far_m for j in last[:-1]), None]
     return [(far, extent_m[i, j], bands[i].near_m * pixel) for far, i, j in zip(far_m, first, last, strict=True)]
 
 
-def _wished_px(descriptor: Descriptor) -> float:
+def _target_px(descriptor: Descriptor) -> float:
     return FOLIAGE_PX if "forest" in descriptor.casters else CASCADE_PX
 
 
-def _power(texels: float, most: int) -> int:
+def _automatic_size(texels: float, max_size: int) -> int:
     """Return the automatic map size that holds ``texels`` and the border."""
-    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * MAP_BORDER_TEXELS)), SMALLEST_MAP, most))
+    return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * MAP_BORDER_TEXELS)), SMALLEST_MAP, max_size))
 
 
 @cached("process", 16 * MIB)

@@ -54,9 +54,9 @@ class ShadowMapSettings(AlgorithmSettings):
     bias_scale: float = Field(default=1.0, ge=0)
 
     @property
-    def asked_as(self) -> dict[str, Any]:
+    def as_overrides(self) -> dict[str, Any]:
         """The settings as keys and values of a level's ``shadows``, with the number of cascades."""
-        return super().asked_as | {"cascades": len(self.cascades)}
+        return super().as_overrides | {"cascades": len(self.cascades)}
 
     @property
     def label(self) -> list[str]:

@@ -22,7 +22,7 @@ from skugga.shadows.maps.texels import shadow_map_texel_m, shadow_map_texel_px
 from skugga.shadows.maps.windows import DepthMap, lamp_map, sun_maps
 from skugga.shadows.maps.work import shadow_map_work
 from skugga.shadows.passes import PassLog
-from skugga.terrain.casters.casting import anything_casts, caster_trees
+from skugga.terrain.casters.casting import caster_trees, has_casters
 from skugga.terrain.casters.reach import Casters
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -51,7 +51,7 @@ def fill(
     trees = caster_trees(buffer, kinds)
     maps: list[DepthMap] = []
     with log.run(depth_pass):  # fitting a map is part of making it
-        if not anything_casts(scene, buffer, kinds):
+        if not has_casters(scene, buffer, kinds):
             pass
         elif isinstance(settings, ShadowMapSettings):
             nearest_m = nearest_caster_m(scene, buffer, kinds, casters, trees) if settings.filter == "sun" else np.inf
@@ -99,7 +99,7 @@ ALGORITHM = Algorithm(
     keeps=("skugga.terrain.gl.depth_targets", "skugga.shadows.maps.sun_disc.samples_before_edges"),
     search=Search(
         tuned={"map_size": TUNED_SIZES, "cascades": (1, 2, 4)},
-        tunes=_tunes,
+        is_tunable=_tunes,
         compared=tuple({"map_size": size, "filter": taps} for size, taps in product((2048, 1024, 4096, 512), (1, 3))),
         variants=VARIANTS,
     ),

@@ -19,7 +19,7 @@ DISC_TANGENT = float(np.tan(np.radians(SUN_RADIUS_DEG)))
 DISC_SAMPLES = 128
 """Number of samples of the disc: one bit each of four words."""
 
-EDGES = 128
+EDGE_STEPS = 128
 """Steps along the disc's width to which the edges of occluders are rounded."""
 
 BLOCK_TEXELS = 16
@@ -34,13 +34,13 @@ DISC_TAPS = 3
 
 @cached("process", MIB)
 def samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
-    """Return the bits of the disc's samples in front of each of ``EDGES + 1`` positions in [-1, 1], (``EDGES + 1``, 4) uint32.
+    """Return the bits of the disc's samples in front of each of ``EDGE_STEPS + 1`` positions in [-1, 1], (``EDGE_STEPS + 1``, 4) uint32.
 
     The first array is along right, the second along up. The samples are Vogel's spiral (1979), of equal areas.
     """
     number = np.arange(DISC_SAMPLES)
     angle, away = number * np.pi * (3.0 - 5.0**0.5), np.sqrt((number + 0.5) / DISC_SAMPLES)
-    edge = np.linspace(-1.0, 1.0, EDGES + 1)[:, None]
+    edge = np.linspace(-1.0, 1.0, EDGE_STEPS + 1)[:, None]
     before = [np.packbits(away * across(angle) < edge, axis=1, bitorder="little").view("<u4") for across in (np.cos, np.sin)]
     return before[0], before[1]
 

@@ -20,7 +20,7 @@ from skugga.terrain.level.level import SUN
 DISC_WIDTH = float(2.0 * np.tan(np.radians(SUN_RADIUS_DEG)))
 """Width of a penumbra across the light, as a share of the distance from its caster."""
 
-FINE = 0.75
+MAX_FINE_SHARE = 0.75
 """Largest texel that counts as fine, as a share of a penumbra.
 
 The sign of the gain in ``soft_error`` changes there, in measured views.
@@ -53,6 +53,6 @@ def fine_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> float | N
             cast = band.share * band.cast
             cascade = next((each for each in cascades if each.far_m is None or band.near_m < each.far_m), cascades[-1])
             shadow += cast
-            if kind != "forest" and np.sqrt(np.prod(cascade.texel_m)) <= FINE * DISC_WIDTH * casting.thrown_m:
+            if kind != "forest" and np.sqrt(np.prod(cascade.texel_m)) <= MAX_FINE_SHARE * DISC_WIDTH * casting.thrown_m:
                 fine += cast
     return fine / shadow if shadow > 0.0 else None

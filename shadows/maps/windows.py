@@ -10,7 +10,7 @@ import numpy as np
 from skugga.shadows.attached import attached
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
 from skugga.shadows.maps.sun_disc import border_texels
-from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.grid import MapView
@@ -60,7 +60,7 @@ class DepthMap:
     pixels
         Flat indices (n,) of the points that the map serves in a perspective view; ``None`` in a map view.
     reach
-        Bounds of the trees that matter: rotation, translation, low and high, as ``skugga.terrain.casters.casting.trees_in_the_way``
+        Bounds of the trees that matter: rotation, translation, low and high, as ``skugga.terrain.casters.casting.occluding_trees``
         takes them. ``None``: all trees matter.
     shaders
         Shader parts of the light's clip space and of the comparison with the map.
@@ -111,11 +111,11 @@ def sun_maps(
             return []
         return [_sun_map(buffer, receivers, scene, settings.cascades[0], settings, trees, nearest_m)]
     eye, _ = view.in_frame(buffer.frame)
-    away_m = distances(buffer.position_frame_m, eye)
+    distance_m = distances(buffer.position_frame_m, eye)
     maps, near_m = [], -1.0
     for cascade in settings.cascades:
         far_m = np.inf if cascade.far_m is None else cascade.far_m
-        here = receivers & (away_m > near_m) & (away_m <= far_m)
+        here = receivers & (distance_m > near_m) & (distance_m <= far_m)
         if here.any():
             maps.append(_sun_map(buffer, here, scene, cascade, settings, trees, nearest_m))
         near_m = far_m
@@ -124,18 +124,18 @@ def sun_maps(
 
 def _sun_map(
     buffer: GeometryBuffer,
-    here: np.ndarray,
+    receivers: np.ndarray,
     scene: Scene,
     cascade: Cascade,
     settings: ShadowMapSettings,
     trees: TreeInstances | None,
     nearest_m: float,
 ) -> DepthMap:
-    """Return the map of a cascade whose receivers are ``here``."""
+    """Return the map of a cascade whose receivers are ``receivers``."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(buffer.frame)
-    low, high = light_bounds(buffer.position_frame_m, here, rotation, translation)
-    error_m = POSITION_ERROR * (_extent_m(buffer, here) + float(np.abs(high - low).max()))
+    low, high = light_bounds(buffer.position_frame_m, receivers, rotation, translation)
+    error_m = POSITION_ERROR * (_extent_m(buffer, receivers) + float(np.abs(high - low).max()))
     stable, texel = settings.fit == "stable", np.array(cascade.texel_m)
     if not stable:  # never coarser, nor finer than the float32 error of positions
         own_m = (high - low)[:2] / max(settings.map_size - 2 * MAP_BORDER_TEXELS - 1, 1)
@@ -151,7 +151,7 @@ def _sun_map(
             first, size = _window(low, high, texel, border, stable)
     if settings.bias == "receiver_plane" and buffer.corners_frame_m is not None:
         aside_m = texel * (3 if settings.filter == "sun" else settings.filter) / 2.0
-        low[2] -= _nearer_m(buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, here, rotation, aside_m)
+        low[2] -= _nearer_m(buffer.normal_frame, buffer.corners_frame_m, buffer.position_frame_m, receivers, rotation, aside_m)
     steps = depth_steps(settings.depth_bits)
     before_m = 4.0 * (error_m + cascade.depth_step_m) + MAP_BORDER_TEXELS * float(texel.max())  # keeps receivers clear of depth 0
     near, step_m = (_stable_depths if stable else _tight_depths)(low[2] - before_m, high[2], cascade.depth_step_m, steps)
@@ -166,7 +166,7 @@ def _sun_map(
         "error_m": error_m,
         "depth_step": 1.0 / steps,
     }
-    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(here)
+    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(receivers)
     reach = rotation, offset_m, np.zeros(3), window_m
     return DepthMap(uniforms, (int(size[0]), int(size[1])), (np.eye(3),), settings.depth_bits, trees, pixels, reach)
 
@@ -221,7 +221,7 @@ def _depths_seen(points, here, position, faces, tangent):
 def distances(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
     """Return the distances (rows, cols) float32 of points (rows, cols, 3) from an eye; NaN at invalid points."""
     out = np.empty(points.shape[:2], np.float32)
-    in_shares(len(points), _distances, points, eye, out)
+    run_in_chunks(len(points), _distances, points, eye, out)
     return out
 
 
@@ -243,7 +243,7 @@ def _nearer_m(
     not be distinguished from its casters.
     """
     most_m = np.empty(len(here))
-    in_shares(len(here), _nearer_in_rows, normal, corners, position, here, rotation, aside_m, most_m)
+    run_in_chunks(len(here), _nearer_in_rows, normal, corners, position, here, rotation, aside_m, most_m)
     return float(most_m.max(initial=0.0))
 
 
@@ -274,7 +274,7 @@ def _extent_m(buffer: GeometryBuffer, here: np.ndarray) -> float:
     if buffer.corners_frame_m is None:
         return extent_m
     farthest = np.empty(len(here), np.float32)
-    in_shares(len(here), _farthest_corners, buffer.corners_frame_m, here, farthest)
+    run_in_chunks(len(here), _farthest_corners, buffer.corners_frame_m, here, farthest)
     return max(extent_m, float(farthest.max(initial=0.0)))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 
-from skugga.terrain.geo.clock import clock_named
+from skugga.terrain.geo.clock import parse_clock
 
 
 def clock_of(name: str, lon_deg: float | None, day: date) -> tzinfo:
@@ -13,7 +13,7 @@ def clock_of(name: str, lon_deg: float | None, day: date) -> tzinfo:
     ``solar`` is true solar time at a longitude on a day: at 12:00 the sun is due south or due north. Raises ``InputError`` for an
     unknown name.
     """
-    clock = clock_named("clock", name)
+    clock = parse_clock("clock", name)
     return solar_clock(lon_deg or 0.0, day) if isinstance(clock, str) else clock
 
 

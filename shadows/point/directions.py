@@ -23,7 +23,7 @@ class Directions(NamedTuple):
         (n,): of the azimuths.
     first
         int (AZIMUTH_BINS + 1,): the first direction at or after the start of each bin.
-    given
+    input_index
         int (n,): the index of each direction in the caller's order.
     """
 
@@ -31,10 +31,10 @@ class Directions(NamedTuple):
     sine: np.ndarray
     cosine: np.ndarray
     first: np.ndarray
-    given: np.ndarray
+    input_index: np.ndarray
 
 
-def directions_of(azimuth_deg: np.ndarray) -> Directions:
+def sort_directions(azimuth_deg: np.ndarray) -> Directions:
     """Return azimuths (n,) in degrees as sorted directions."""
     azimuth = np.asarray(azimuth_deg, np.float64) % 360.0
     order = np.argsort(azimuth, kind="stable")
@@ -45,7 +45,7 @@ def directions_of(azimuth_deg: np.ndarray) -> Directions:
 
 
 @internal
-def ends_towards(directions, low, high):
+def direction_range(directions, low, high):
     """Return the range [begin, end) of directions with azimuths from ``low`` to ``high`` degrees.
 
     ``low`` lies in [0, 360). Indices beyond the last direction wrap around to the first. A few further directions may be in it.

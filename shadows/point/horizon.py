@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.point.directions import Directions, directions_of
-from skugga.shadows.point.horizon_walk import ReliefHorizon, ground_hides, relief_horizon
-from skugga.shadows.point.leaf_sight import SeenTrees, highest_leaves, nearest_leaves, seen_trees
+from skugga.shadows.point.directions import Directions, sort_directions
+from skugga.shadows.point.horizon_walk import ReliefHorizon, is_ground_occluded, relief_horizon
+from skugga.shadows.point.leaf_sight import VisibleTrees, highest_leaves, nearest_leaves, visible_trees
 from skugga.shadows.point.place import PointPlace
 from skugga.shadows.point.solid_sight import Sighting, highest_solids, nearest_solids, nothing_sighted
 from skugga.shadows.point.terms import CasterType
@@ -108,10 +108,10 @@ class Surroundings:
     point_enu_m: np.ndarray
     triangles: np.ndarray
     is_building: np.ndarray
-    trees: SeenTrees | None
+    trees: VisibleTrees | None
 
 
-def surroundings(scene: Scene, place: PointPlace) -> Surroundings:
+def load_surroundings(scene: Scene, place: PointPlace) -> Surroundings:
     """Return the casters around a place. Raises the errors of reading a level's meshes and trees."""
     points, triangles, is_building = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, bool)
     solids, placement = scene.objects.solids, scene.objects.placement
@@ -119,66 +119,66 @@ def surroundings(scene: Scene, place: PointPlace) -> Surroundings:
         points, triangles = place.in_enu(solids.caster_vertices_earth_m), solids.caster_triangles
         counts = [len(placed.body.triangles) for placed in placement.casting]
         is_building = np.repeat(np.array(placement.casting_buildings, bool), counts)
-    return Surroundings(scene, place, points, triangles, is_building, _trees_round(scene, place))
+    return Surroundings(scene, place, points, triangles, is_building, _trees_around(scene, place))
 
 
-def horizon_round(around: Surroundings, azimuth_deg: np.ndarray | None = None) -> PointHorizon:
+def horizon_profile(surroundings: Surroundings, azimuth_deg: np.ndarray | None = None) -> PointHorizon:
     """Return the horizon of a place towards azimuths (n,); by default ``HORIZON_DIRECTIONS`` from north on."""
     if azimuth_deg is None:
         azimuth_deg = np.arange(HORIZON_DIRECTIONS) * (360.0 / HORIZON_DIRECTIONS)
-    ground = relief_horizon(around.scene, around.place, azimuth_deg)
-    solids, leaves = _highest_objects(around, directions_of(azimuth_deg))
+    ground = relief_horizon(surroundings.scene, surroundings.place, azimuth_deg)
+    solids, leaves = _highest_objects(surroundings, sort_directions(azimuth_deg))
     return PointHorizon(
         np.asarray(azimuth_deg, np.float64), _degrees(ground.tangent), _degrees(solids.tangent), _degrees(leaves.tangent)
     )
 
 
-def sun_reaches(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
+def sees_sun(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
     """Return whether rays towards suns at azimuths and altitudes (n,) meet nothing: bool (n,), False for suns that are not up."""
     azimuth, altitude = (np.asarray(v, np.float64) for v in (azimuth_deg, altitude_deg))
     lit = altitude > 0.0
     up = np.flatnonzero(lit)
-    lit[up] = ~ground_hides(around.scene, around.place, azimuth[up], _tangent(altitude[up]))
+    lit[up] = ~is_ground_occluded(surroundings.scene, surroundings.place, azimuth[up], _tangent(altitude[up]))
     left = np.flatnonzero(lit)
-    lit[left] = objects_leave_free(around, azimuth[left], altitude[left])
+    lit[left] = clears_objects(surroundings, azimuth[left], altitude[left])
     return lit
 
 
-def objects_leave_free(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
+def clears_objects(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
     """Return whether rays towards azimuths and altitudes (n,) meet neither meshes nor leaves: bool (n,)."""
     free = np.ones(len(azimuth_deg), bool)
     for kind in ("meshes", "forest"):
         left = np.flatnonzero(free)
-        (sighted,) = _in_the_way(around, azimuth_deg[left], _tangent(altitude_deg[left]), (kind,))
+        (sighted,) = _nearest_occluders(surroundings, azimuth_deg[left], _tangent(altitude_deg[left]), (kind,))
         free[left] = sighted.number < 0
     return free
 
 
-def what_hides(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> list[SunCaster | None]:
+def sun_occluders(surroundings: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> list[SunCaster | None]:
     """Return the occluder of each sun (n,); ``None`` where nothing hides it or it is not up.
 
     Of several kinds of casters on the ray, it is the one that reaches highest in the sun's azimuth. Its position is the highest
     point there.
     """
     azimuth, altitude = (np.atleast_1d(np.asarray(v, np.float64)) for v in (azimuth_deg, altitude_deg))
-    ground = relief_horizon(around.scene, around.place, azimuth)
-    highest = _highest_objects(around, directions_of(azimuth))
-    in_the_way = _in_the_way(around, azimuth, _tangent(altitude))
+    ground = relief_horizon(surroundings.scene, surroundings.place, azimuth)
+    highest = _highest_objects(surroundings, sort_directions(azimuth))
+    in_the_way = _nearest_occluders(surroundings, azimuth, _tangent(altitude))
     found: list[SunCaster | None] = []
     for n, tangent in enumerate(_tangent(altitude)):
         candidates: list[tuple[float, SunCaster]] = []
         if altitude[n] > 0.0 and tangent <= ground.tangent[n]:
-            candidates.append((float(ground.tangent[n]), _ground_caster(around.place, ground, n)))
+            candidates.append((float(ground.tangent[n]), _ground_caster(surroundings.place, ground, n)))
         for top, near in zip(highest, in_the_way, strict=True):
             if altitude[n] > 0.0 and near.number[n] >= 0:
                 which = top if top.number[n] >= 0 else near
-                kind: CasterType = "forest" if top is highest[1] else _solid_kind(around, int(which.number[n]))
-                candidates.append((float(which.tangent[n]), _object_caster(around.place, kind, azimuth[n], which, n)))
+                kind: CasterType = "forest" if top is highest[1] else _solid_kind(surroundings, int(which.number[n]))
+                candidates.append((float(which.tangent[n]), _object_caster(surroundings.place, kind, azimuth[n], which, n)))
         found.append(max(candidates, key=lambda each: each[0])[1] if candidates else None)
     return found
 
 
-def _trees_round(scene: Scene, place: PointPlace) -> SeenTrees | None:
+def _trees_around(scene: Scene, place: PointPlace) -> VisibleTrees | None:
     if scene.objects.trees is None:
         return None
     frame = scene.world.frame_near_earth(place.eye_earth_m)
@@ -186,44 +186,44 @@ def _trees_round(scene: Scene, place: PointPlace) -> SeenTrees | None:
     if instances is None:
         return None
     enu_from_frame = place.earth_from_enu.T @ frame.frame_from_earth.T
-    return seen_trees(instances, enu_from_frame, frame.points_from_earth(place.eye_earth_m))
+    return visible_trees(instances, enu_from_frame, frame.points_from_earth(place.eye_earth_m))
 
 
-def _highest_objects(around: Surroundings, directions: Directions) -> tuple[Sighting, Sighting]:
+def _highest_objects(surroundings: Surroundings, directions: Directions) -> tuple[Sighting, Sighting]:
     """Return the highest solids and leaves towards directions, in the caller's order."""
     count = len(directions.azimuth)
     solids, leaves = nothing_sighted(count), nothing_sighted(count)
-    highest_solids(around.point_enu_m, around.triangles, directions, solids)
-    if around.trees is not None:
-        highest_leaves(around.trees, directions, leaves)
-    return _as_given(solids, directions), _as_given(leaves, directions)
+    highest_solids(surroundings.point_enu_m, surroundings.triangles, directions, solids)
+    if surroundings.trees is not None:
+        highest_leaves(surroundings.trees, directions, leaves)
+    return _in_input_order(solids, directions), _in_input_order(leaves, directions)
 
 
-def _in_the_way(
-    around: Surroundings, azimuth_deg: np.ndarray, tangent: np.ndarray, kinds: tuple[str, ...] = ("meshes", "forest")
+def _nearest_occluders(
+    surroundings: Surroundings, azimuth_deg: np.ndarray, tangent: np.ndarray, kinds: tuple[str, ...] = ("meshes", "forest")
 ) -> list[Sighting]:
     """Return the nearest object of each kind that rays meet, in the caller's order."""
-    directions = directions_of(azimuth_deg)
-    ordered, found = tangent[directions.given], []
+    directions = sort_directions(azimuth_deg)
+    ordered, found = tangent[directions.input_index], []
     for kind in kinds:
         sighted = nothing_sighted(len(ordered))
         if kind == "meshes":
-            nearest_solids(around.point_enu_m, around.triangles, directions, ordered, sighted)
-        elif around.trees is not None:
-            nearest_leaves(around.trees, directions, ordered, sighted)
-        found.append(_as_given(sighted, directions))
+            nearest_solids(surroundings.point_enu_m, surroundings.triangles, directions, ordered, sighted)
+        elif surroundings.trees is not None:
+            nearest_leaves(surroundings.trees, directions, ordered, sighted)
+        found.append(_in_input_order(sighted, directions))
     return found
 
 
-def _as_given(sighted: Sighting, directions: Directions) -> Sighting:
-    out = nothing_sighted(len(directions.given))
-    for there, ordered in zip(out, sighted, strict=True):
-        there[directions.given] = ordered
+def _in_input_order(sighted: Sighting, directions: Directions) -> Sighting:
+    out = nothing_sighted(len(directions.input_index))
+    for target, ordered in zip(out, sighted, strict=True):
+        target[directions.input_index] = ordered
     return out
 
 
-def _solid_kind(around: Surroundings, triangle: int) -> CasterType:
-    return "building" if around.is_building[triangle] else "mesh"
+def _solid_kind(surroundings: Surroundings, triangle: int) -> CasterType:
+    return "building" if surroundings.is_building[triangle] else "mesh"
 
 
 def _ground_caster(place: PointPlace, ground: ReliefHorizon, n: int) -> SunCaster:

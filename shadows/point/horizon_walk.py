@@ -92,7 +92,7 @@ class Lines(NamedTuple):
         Height of the eye, metres.
     near, far
         Range of distances to walk, in nodes.
-    to_first
+    stops_at_first
         Whether a line ends at the first ground above its tangent.
     """
 
@@ -103,7 +103,7 @@ class Lines(NamedTuple):
     eye: float
     near: float
     far: float
-    to_first: bool
+    stops_at_first: bool
 
 
 class Walks(NamedTuple):
@@ -130,41 +130,41 @@ class Walks(NamedTuple):
 def relief_horizon(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray) -> ReliefHorizon:
     """Return the horizon that a level's ground forms around a place, towards azimuths (n,)."""
     azimuth = np.asarray(azimuth_deg, np.float64)
-    found = _walked(scene, place, azimuth, np.full(len(azimuth), NO_GROUND), to_first=False)
-    return ReliefHorizon(azimuth, found.tangent, found.distance, found.height)
+    walks = _walk_to_ground(scene, place, azimuth, np.full(len(azimuth), NO_GROUND), stops_at_first=False)
+    return ReliefHorizon(azimuth, walks.tangent, walks.distance, walks.height)
 
 
-def ground_hides(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+def is_ground_occluded(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """Return whether a level's ground blocks rays from a place, with ``tangent`` (n,) above its level: bool (n,).
 
     This is faster than the horizon, since ground below a ray is skipped.
     """
-    found = _walked(scene, place, np.asarray(azimuth_deg, np.float64), np.array(tangent, np.float64), to_first=True)
-    return np.isfinite(found.distance)
+    walks = _walk_to_ground(scene, place, np.asarray(azimuth_deg, np.float64), np.array(tangent, np.float64), stops_at_first=True)
+    return np.isfinite(walks.distance)
 
 
-def _walked(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray, to_first: bool) -> Walks:
+def _walk_to_ground(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray, stops_at_first: bool) -> Walks:
     """Return the walks to the highest, or to the first, ground above tangents (n,), which are overwritten."""
     ground = paged_relief(scene)
     lines = sight_lines(ground, place, azimuth_deg, farthest_m(scene, place))
     count = len(azimuth_deg)
     nothing = np.full(count, np.nan)
-    found = Walks(np.zeros(count, np.int64), np.zeros(count), np.zeros(count, np.bool_), tangent, nothing, nothing.copy())
+    walks = Walks(np.zeros(count, np.int64), np.zeros(count), np.zeros(count, np.bool_), tangent, nothing, nothing.copy())
     for level, (near, far) in enumerate(detail_ends(_farthest_nodes(lines))):
-        found.piece[:], found.share[:], found.ended[:] = 0, 0.0, to_first & np.isfinite(found.distance)
+        walks.piece[:], walks.share[:], walks.ended[:] = 0, 0.0, stops_at_first & np.isfinite(walks.distance)
         pages = ground.level(level)
-        while not found.ended.all():
-            wanted = np.zeros(pages.bound_m.shape, np.bool_)
+        while not walks.ended.all():
+            needed_pages = np.zeros(pages.bound_m.shape, np.bool_)
             _walk(
                 Pages(
                     pages.bound_m, pages.first_row, pages.first_col, pages.number, pages.height_m, pages.high_m,
                     2.0**level, ground.blocks,
                 ),
-                Lines(lines.distance_m, lines.row, lines.col, lines.curvature, place.eye_m, near, far, to_first),
-                found, wanted,
+                Lines(lines.distance_m, lines.row, lines.col, lines.curvature, place.eye_m, near, far, stops_at_first),
+                walks, needed_pages,
             )  # fmt: skip
-            ground.read(level, wanted)
-    return found
+            ground.read(level, needed_pages)
+    return walks
 
 
 def farthest_m(scene: Scene, place: PointPlace) -> float:
@@ -191,22 +191,22 @@ def _farthest_nodes(lines: SightLines) -> float:
 
 
 @compiled
-def _walk(pages, lines, found, wanted):
-    """Follow each line until it is complete or needs a page that is not read; mark that page in ``wanted``."""
+def _walk(pages, lines, walks, needed_pages):
+    """Follow each line until it is complete or needs a page that is not read; mark that page in ``needed_pages``."""
     for n in range(len(lines.row)):
-        if not found.ended[n]:
-            _follow(pages, lines, found, wanted, n)
+        if not walks.ended[n]:
+            _follow(pages, lines, walks, needed_pages, n)
 
 
 @internal
-def _follow(pages, lines, found, wanted, n):
+def _follow(pages, lines, walks, needed_pages, n):
     shift = 0.5 if pages.blocks else 0.0
     scale, kappa, eye = pages.scale, lines.curvature[n], lines.eye
     row0, col0 = lines.row[n, 0], lines.col[n, 0]
-    best = found.tangent[n]
+    best = walks.tangent[n]
     rows, cols = pages.bound.shape
-    t = found.share[n]
-    for piece in range(found.piece[n], len(lines.distance) - 1):
+    t = walks.share[n]
+    for piece in range(walks.piece[n], len(lines.distance) - 1):
         # The whole part of a position is the index of a column's cell, or of a quad.
         r0, c0 = (lines.row[n, piece] + shift) / scale, (lines.col[n, piece] + shift) / scale
         dr, dc = (lines.row[n, piece + 1] - lines.row[n, piece]) / scale, (lines.col[n, piece + 1] - lines.col[n, piece]) / scale
@@ -216,14 +216,14 @@ def _follow(pages, lines, found, wanted, n):
             r, c = r0 + (t + step) * dr, c0 + (t + step) * dc
             away = max(abs(lines.row[n, piece] + t * dr * scale - row0), abs(lines.col[n, piece] + t * dc * scale - col0))
             if away >= lines.far:
-                found.ended[n], found.tangent[n] = True, best
+                walks.ended[n], walks.tangent[n] = True, best
                 return
             i, j = int(np.floor(r)), int(np.floor(c))
             page_row, page_col = i // PATCH_QUADS, j // PATCH_QUADS
             a, b = page_row - pages.first_row, page_col - pages.first_col
-            t_out = _leaving(r0, dr, c0, dc, page_row * PATCH_QUADS, page_col * PATCH_QUADS, float(PATCH_QUADS), t + step)
-            known = a >= 0 and b >= 0 and a < rows and b < cols
-            if not known or not _may_rise(pages.bound[a, b], eye, best, kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
+            t_out = _exit_share(r0, dr, c0, dc, page_row * PATCH_QUADS, page_col * PATCH_QUADS, float(PATCH_QUADS), t + step)
+            has_page = a >= 0 and b >= 0 and a < rows and b < cols
+            if not has_page or not _can_exceed(pages.bound[a, b], eye, best, kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
                 t = t_out
                 continue
             if away < lines.near and scale * PATCH_QUADS < lines.near - away:
@@ -231,27 +231,27 @@ def _follow(pages, lines, found, wanted, n):
                 continue
             number = pages.number[a, b]
             if number < 0:
-                wanted[a, b] = True
-                found.piece[n], found.share[n], found.tangent[n] = piece, t, best
+                needed_pages[a, b] = True
+                walks.piece[n], walks.share[n], walks.tangent[n] = piece, t, best
                 return
             i, j = i - page_row * PATCH_QUADS, j - page_col * PATCH_QUADS
             tile_row, tile_col = i // TILE_QUADS, j // TILE_QUADS
-            t_out = _leaving(
+            t_out = _exit_share(
                 r0, dr, c0, dc, page_row * PATCH_QUADS + tile_row * TILE_QUADS, page_col * PATCH_QUADS + tile_col * TILE_QUADS,
                 float(TILE_QUADS), t + step,
             )  # fmt: skip
-            if not _may_rise(pages.high[number, tile_row, tile_col], eye, best, kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
+            if not _can_exceed(pages.high[number, tile_row, tile_col], eye, best, kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
                 t = t_out
                 continue
             top, left = page_row * PATCH_QUADS + i, page_col * PATCH_QUADS + j
-            t_out = _leaving(r0, dr, c0, dc, top, left, 1.0, t + step)
+            t_out = _exit_share(r0, dr, c0, dc, top, left, 1.0, t + step)
             if away >= lines.near:
                 height = pages.height[number]
                 end = min(t_out, 1.0)
                 if pages.blocks:
                     h = np.float64(height[i, j])
-                    best = _higher(found, n, best, h, eye, kappa, s0 + t * ds, s0 + end * ds, ds * step)
-                    best = _higher(found, n, best, h, eye, kappa, s0 + end * ds, s0 + end * ds, ds * step)
+                    best = _raise_horizon(walks, n, best, h, eye, kappa, s0 + t * ds, s0 + end * ds, ds * step)
+                    best = _raise_horizon(walks, n, best, h, eye, kappa, s0 + end * ds, s0 + end * ds, ds * step)
                 else:
                     nw, ne = np.float64(height[i, j]), np.float64(height[i, j + 1])
                     sw, se = np.float64(height[i + 1, j]), np.float64(height[i + 1, j + 1])
@@ -264,20 +264,20 @@ def _follow(pages, lines, found, wanted, n):
                         if t < cut < end:
                             share = c0 + cut * dc - left
                             h = nw + share * (se - nw) if falls else sw + share * (ne - sw)
-                            best = _higher(found, n, best, h, eye, kappa, s0 + cut * ds, s0 + cut * ds, ds * step)
+                            best = _raise_horizon(walks, n, best, h, eye, kappa, s0 + cut * ds, s0 + cut * ds, ds * step)
                     fr, fc = r0 + end * dr - top, c0 + end * dc - left
                     h = quad_height(nw, ne, sw, se, min(max(fr, 0.0), 1.0), min(max(fc, 0.0), 1.0))
-                    best = _higher(found, n, best, h, eye, kappa, s0 + end * ds, s0 + end * ds, ds * step)
-                if lines.to_first and not np.isnan(found.distance[n]):
-                    found.ended[n], found.tangent[n] = True, best
+                    best = _raise_horizon(walks, n, best, h, eye, kappa, s0 + end * ds, s0 + end * ds, ds * step)
+                if lines.stops_at_first and not np.isnan(walks.distance[n]):
+                    walks.ended[n], walks.tangent[n] = True, best
                     return
             t = t_out
         t = 0.0
-    found.ended[n], found.tangent[n] = True, best
+    walks.ended[n], walks.tangent[n] = True, best
 
 
 @internal
-def _leaving(r0, dr, c0, dc, top, left, side, after):
+def _exit_share(r0, dr, c0, dc, top, left, side, after):
     """Return the share of a piece at which it leaves a square of the grid; always at least ``after``."""
     out = np.inf
     if dr > 0.0:
@@ -292,7 +292,7 @@ def _leaving(r0, dr, c0, dc, top, left, side, after):
 
 
 @internal
-def _may_rise(high, eye, best, kappa, near, far):
+def _can_exceed(high, eye, best, kappa, near, far):
     """Return whether ground up to a height, between two distances, may exceed a tangent."""
     if high == -np.inf:
         return False
@@ -303,7 +303,7 @@ def _may_rise(high, eye, best, kappa, near, far):
 
 
 @internal
-def _higher(found, n, best, h, eye, kappa, s, at, least):
+def _raise_horizon(walks, n, best, h, eye, kappa, s, at, least):
     """Return the maximum of a tangent and of the tangent of ground of a height at a distance; store the ground if it is higher."""
     if not s > least * LEAST_NODES / NUDGE:
         return best
@@ -314,5 +314,5 @@ def _higher(found, n, best, h, eye, kappa, s, at, least):
     up = h * (1.0 - kappa * drop) - drop - eye
     if up > best * along:
         best = up / along
-        found.distance[n], found.height[n] = at, h
+        walks.distance[n], walks.height[n] = at, h
     return best

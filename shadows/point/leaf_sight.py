@@ -11,18 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.point.directions import Directions, ends_towards
+from skugga.shadows.point.directions import Directions, direction_range
 from skugga.shadows.point.solid_sight import LEAST_AWAY_M, Sighting, azimuth_of
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_corner
-from skugga.terrain.interpolation_loops import blend_corners, cell_before
+from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 from skugga.terrain.trees.foliage import TEXTURE_PX, THRESHOLD, foliage
 
 STEP = 1e-4
 """Step of the tangent (0.006 degrees) in the search for distant leaves."""
 
 
-class SeenTrees(NamedTuple):
+class VisibleTrees(NamedTuple):
     """Trees that rise above the eye's level, for compiled loops: see ``TreeInstances``.
 
     Attributes
@@ -54,25 +54,25 @@ class SeenTrees(NamedTuple):
     alpha: np.ndarray
 
 
-def seen_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_frame_m: np.ndarray) -> SeenTrees:
+def visible_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_frame_m: np.ndarray) -> VisibleTrees:
     """Return the trees that rise above an eye's level, with the eye. Trees below that level cannot hide a sun that is up."""
     enu_from_frame = np.ascontiguousarray(enu_from_frame)
-    number, low, high, steepest = _rising(instances.base_frame_m, instances.shape, enu_from_frame, eye_frame_m)
-    return SeenTrees(
+    number, low, high, steepest = _trees_above_eye(instances.base_frame_m, instances.shape, enu_from_frame, eye_frame_m)
+    return VisibleTrees(
         instances.base_frame_m[number], instances.shape[number], instances.turn[number], instances.variant[number],
         instances.curvature, enu_from_frame, eye_frame_m, low, high, steepest, foliage().levels[0][..., 3],
     )  # fmt: skip
 
 
 @compiled
-def _rising(base, shape, turn, origin):
+def _trees_above_eye(base, shape, turn, origin):
     """Return the indices of trees that rise above the eye's level, with bounds of their azimuths and tangents."""
     number = np.empty(len(base), np.int64)
     bounds = np.empty((3, len(base)))
     count = 0
     foot = np.empty(3)
     for m in range(len(base)):
-        _moved(turn, origin, base[m, 0], base[m, 1], base[m, 2], foot)
+        _to_enu(turn, origin, base[m, 0], base[m, 1], base[m, 2], foot)
         top = foot[2] + shape[m, 2]
         if top <= 0.0:
             continue
@@ -88,12 +88,12 @@ def _rising(base, shape, turn, origin):
     return number[:count], bounds[0, :count].copy(), bounds[1, :count].copy(), bounds[2, :count].copy()
 
 
-def highest_leaves(trees: SeenTrees, directions: Directions, found: Sighting) -> None:
+def highest_leaves(trees: VisibleTrees, directions: Directions, found: Sighting) -> None:
     """Replace entries of ``found`` by leaves with larger tangents towards directions."""
     _sight_trees(trees, directions, found.tangent, True, found)
 
 
-def nearest_leaves(trees: SeenTrees, directions: Directions, tangent: np.ndarray, found: Sighting) -> None:
+def nearest_leaves(trees: VisibleTrees, directions: Directions, tangent: np.ndarray, found: Sighting) -> None:
     """Replace entries of ``found`` by nearer leaves that rays meet, with ``tangent`` (n,) above the eye's level."""
     _sight_trees(trees, directions, tangent, False, found)
 
@@ -106,7 +106,7 @@ def _sight_trees(trees, directions, tangent, highest, found):
     turn, origin = trees.enu_from_frame, trees.eye_frame
     corner, quad = np.empty((4, 3)), np.empty((3, 3, 3))
     for m in range(len(trees.base)):
-        begin, end = ends_towards(directions, trees.low[m], trees.high[m])
+        begin, end = direction_range(directions, trees.low[m], trees.high[m])
         ready = False
         for k in range(begin, end):
             n = k % count
@@ -116,7 +116,7 @@ def _sight_trees(trees, directions, tangent, highest, found):
                 for q in range(3):
                     for e in range(4):
                         x, y, z = tree_corner(trees.base[m], trees.shape[m], trees.turn[m], trees.curvature, q, e)
-                        _moved(turn, origin, x, y, z, corner[e])
+                        _to_enu(turn, origin, x, y, z, corner[e])
                     for d in range(3):
                         quad[q, 0, d] = corner[0, d]
                         quad[q, 1, d] = corner[1, d] - corner[0, d]
@@ -128,7 +128,7 @@ def _sight_trees(trees, directions, tangent, highest, found):
 
 
 @internal
-def _moved(turn, origin, x, y, z, out):
+def _to_enu(turn, origin, x, y, z, out):
     """Write a frame point as metres east, north and up from the eye."""
     x, y, z = x - origin[0], y - origin[1], z - origin[2]
     for d in range(3):
@@ -214,6 +214,6 @@ def _is_leaf(alpha, u, v):
     height, width = alpha.shape
     x = min(max(u * width - 0.5, 0.0), width - 1.0)
     y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)
-    y0, y1, down = cell_before(y, height)
-    x0, x1, across = cell_before(x, width)
+    y0, y1, down = cell_interval(y, height)
+    x0, x1, across = cell_interval(x, width)
     return blend_corners(alpha[y0, x0], alpha[y0, x1], alpha[y1, x0], alpha[y1, x1], down, across) >= 255.0 * THRESHOLD

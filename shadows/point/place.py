@@ -9,7 +9,7 @@ from pyproj import CRS, Geod
 from pyproj.exceptions import ProjError
 
 from skugga.shadows.point.relief_pages import PagedRelief, paged_relief
-from skugga.shadows.point.terms import HIGHEST_EYE_M
+from skugga.shadows.point.terms import MAX_EYE_HEIGHT_M
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.axes import axes_of
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
@@ -87,21 +87,21 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
     Raises
     ------
     InputError
-        The coordinates are off the level's data, or the height is below 0 or above ``HIGHEST_EYE_M``.
+        The coordinates are off the level's data, or the height is below 0 or above ``MAX_EYE_HEIGHT_M``.
     """
-    if not 0.0 <= height_m <= HIGHEST_EYE_M:
-        raise InputError("height", height_m, f"0 to {HIGHEST_EYE_M:.0f} metres above the ground")
+    if not 0.0 <= height_m <= MAX_EYE_HEIGHT_M:
+        raise InputError("height", height_m, f"0 to {MAX_EYE_HEIGHT_M:.0f} metres above the ground")
     ground = paged_relief(scene)
     x, y = _on_grid(scene, ground, at, crs)
     allowed = _allowed_places(scene, at, crs)
     if not max(abs(x), abs(y)) <= MAX_COORDINATE:
         raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     row, col = (float(v) for v in ground.node_of(x, y))
-    ground_m, there = ground.ground_at(row, col)
-    if not there or not np.isfinite(ground_m):  # the nearest node is outside of the raster or in a hole
+    ground_m, has_ground = ground.ground_at(row, col)
+    if not has_ground or not np.isfinite(ground_m):  # the nearest node is outside of the raster or in a hole
         ground_m = float(scene.elevation.ground_m(*_in_raster(scene, ground, x, y)))
-        there = bool(np.isfinite(ground_m))
-    if not there:
+        has_ground = bool(np.isfinite(ground_m))
+    if not has_ground:
         raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     foot, up = scene.world.ground(ground.grid.crs, np.float64(x), np.float64(y))
     lon = lat = None

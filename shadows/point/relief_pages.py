@@ -66,15 +66,15 @@ class PagedLevel:
         """Store the heights of a page."""
         if self.pages == len(self.height_m):
             room = max(2 * self.pages, 16)
-            self.height_m, self.high_m = _grown(self.height_m, room), _grown(self.high_m, room)
+            self.height_m, self.high_m = _with_room(self.height_m, room), _with_room(self.high_m, room)
         self.height_m[self.pages] = height_m
-        self.high_m[self.pages] = _highest(height_m)
+        self.high_m[self.pages] = _tile_max(height_m)
         self.number[row, col] = self.pages
         self.pages += 1
 
 
 @dataclass(eq=False)
-class KeptPages:
+class PageCache:
     """The cached pages of a ground: its grid, and the pages read so far by level of detail."""
 
     grid: Grid
@@ -109,10 +109,10 @@ class PagedRelief:
             self.levels[level] = PagedLevel(level, bound, first_row, first_col, empty, *pages)
         return self.levels[level]
 
-    def read(self, level: int, wanted: np.ndarray) -> None:
-        """Read the pages of a level of detail that are True in ``wanted``, bool (m, n)."""
+    def read(self, level: int, needed_pages: np.ndarray) -> None:
+        """Read the pages of a level of detail that are True in ``needed_pages``, bool (m, n)."""
         pages, side = self.level(level), PATCH_QUADS + 1
-        for row, col in zip(*np.nonzero(wanted & (pages.number < 0)), strict=True):
+        for row, col in zip(*np.nonzero(needed_pages & (pages.number < 0)), strict=True):
             first = (row + pages.first_row) * PATCH_QUADS, (col + pages.first_col) * PATCH_QUADS
             pages.put(row, col, self.nodes(level, *first, side, side))
 
@@ -156,23 +156,23 @@ class PagedRelief:
 
 def paged_relief(scene: Scene) -> PagedRelief:
     """Return the ground of a level in pages; it does not depend on the sun. Too many pages of earlier points are dropped."""
-    kept = _kept_pages(scene.world, scene.elevation, scene.map_crs)
-    if sum(pages.pages for pages in kept.levels.values()) > MAX_PAGES:
-        kept.levels.clear()
-    return PagedRelief(scene.world, scene.elevation, kept.grid, kept.levels)
+    cache = _page_cache(scene.world, scene.elevation, scene.map_crs)
+    if sum(pages.pages for pages in cache.levels.values()) > MAX_PAGES:
+        cache.levels.clear()
+    return PagedRelief(scene.world, scene.elevation, cache.grid, cache.levels)
 
 
 @cached("scene", 1024 * MIB, size_of=lambda _: MAX_PAGES * MIB // 4)
-def _kept_pages(world: World, elevation: Elevation, map_crs: CRS) -> KeptPages:
+def _page_cache(world: World, elevation: Elevation, map_crs: CRS) -> PageCache:
     """Return the pages of a ground; more are read, and stored there, as points need them."""
-    if elevation.upright:
-        return KeptPages(Columns(world, elevation, 0).grid, {})
+    if elevation.is_north_up:
+        return PageCache(Columns(world, elevation, 0).grid, {})
     west, south, east, north = elevation.bounds
     if elevation.crs != map_crs:
         west, south, east, north = transformer(elevation.crs, map_crs).transform_bounds(west, south, east, north, densify_pts=21)
     probe = map_grid(world, map_crs, max(east - west, north - south) / 64)
     cell_m = elevation.cell_size_m(world.metres_per_unit)
-    return KeptPages(map_grid(world, map_crs, 1.01 * probe.step * cell_m / step_at_anchor_m(world, probe)), {})
+    return PageCache(map_grid(world, map_crs, 1.01 * probe.step * cell_m / step_at_anchor_m(world, probe)), {})
 
 
 def detail_ends(farthest_nodes: float) -> list[tuple[float, float]]:
@@ -189,8 +189,8 @@ def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
     row, col, half = overview_on_grid(ground.world, ground.elevation, ground.grid)
     high = ground.elevation.overview.high_m
     holes = FILL_CELLS * 2**level if np.isnan(high).any() else 0  # holes are filled from their rims
-    known = np.isfinite(high) & np.isfinite(row) & np.isfinite(col)
-    row, col, half, high = row[known], col[known], half[known] + holes + 2**level, high[known]
+    valid = np.isfinite(high) & np.isfinite(row) & np.isfinite(col)
+    row, col, half, high = row[valid], col[valid], half[valid] + holes + 2**level, high[valid]
     side = PATCH_QUADS * 2**level
     spans = [(np.floor((v - half) / side).astype(np.int64), np.floor((v + half) / side).astype(np.int64)) for v in (row, col)]
     (top, bottom), (left, right) = spans
@@ -216,7 +216,7 @@ def _columns_of_a_turn(ground: PagedRelief) -> float:
     return 360.0 / ground.grid.step
 
 
-def _grown(array: np.ndarray, room: int) -> np.ndarray:
+def _with_room(array: np.ndarray, room: int) -> np.ndarray:
     """Return a copy of an array with room for more pages."""
     grown = np.empty((room, *array.shape[1:]), array.dtype)
     grown[: len(array)] = array
@@ -224,7 +224,7 @@ def _grown(array: np.ndarray, room: int) -> np.ndarray:
 
 
 @compiled
-def _highest(height):
+def _tile_max(height):
     """Return the maximum (16, 16) of a page's nodes (257, 257) by tile, with the tiles' borders; -inf without ground."""
     out = np.empty((PAGE_TILES, PAGE_TILES), np.float32)
     out[:] = -np.inf

@@ -66,7 +66,7 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
         return SightLines(azimuth_deg, distance, row, col, np.zeros(len(azimuth_deg)))
     spokes = _spokes(ground.world, ground.elevation, ground.grid, place, count)
     distance = distance[: spokes.real.shape[1] // 2]
-    if spokes.smooth:
+    if spokes.is_smooth:
         nodes = _between_spokes(spokes.real, spokes.imaginary, np.radians(azimuth_deg)).reshape(-1, len(distance), 2)
         nodes[:, 0] = place.row, place.col
     else:
@@ -82,13 +82,13 @@ class Spokes:
     ----------
     real, imaginary
         (m, 2 k): coefficients.
-    smooth
+    is_smooth
         Whether they are accurate between the spokes.
     """
 
     real: np.ndarray
     imaginary: np.ndarray
-    smooth: bool
+    is_smooth: bool
 
 
 @cached("scene", 4 * MIB)
@@ -96,11 +96,11 @@ def _spokes(world: World, elevation: Elevation, grid: Grid, place: PointPlace, c
     """Return the spokes of a place, up to the edge of the grid's CRS. They are cached: a report uses one place several times."""
     distance = np.concatenate([[0.0], FIRST_M * GROWTH ** np.arange(count + 1)])
     nodes = _globe_nodes(grid, place, np.arange(SPOKES) * (360.0 / SPOKES), distance)
-    known = np.isfinite(nodes).all(axis=(0, 2))
-    nodes = nodes[:, : int(np.argmin(known)) if not known.all() else len(distance)]
+    finite = np.isfinite(nodes).all(axis=(0, 2))
+    nodes = nodes[:, : int(np.argmin(finite)) if not finite.all() else len(distance)]
     harmonics = np.fft.rfft(nodes, axis=0).reshape(SPOKES // 2 + 1, -1) / SPOKES
-    smooth = bool(np.abs(harmonics[HARMONICS:]).max(initial=0.0) * SPOKES < SPOKES_ERROR)
-    return Spokes(harmonics[:HARMONICS].real.copy(), harmonics[:HARMONICS].imag.copy(), smooth)
+    is_smooth = bool(np.abs(harmonics[HARMONICS:]).max(initial=0.0) * SPOKES < SPOKES_ERROR)
+    return Spokes(harmonics[:HARMONICS].real.copy(), harmonics[:HARMONICS].imag.copy(), is_smooth)
 
 
 def _flat_nodes(

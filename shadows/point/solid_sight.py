@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.shadows.point.directions import Directions, ends_towards
+from skugga.shadows.point.directions import Directions, direction_range
 from skugga.terrain.compiled import compiled, internal
 
 LEAST_AWAY_M = 1e-6
@@ -69,13 +69,13 @@ def _sight_triangles(point, triangles, directions, tangent, highest, found):
             azimuth[0], azimuth[1], azimuth[2] = azimuth_of(a), azimuth_of(b), azimuth_of(c)
             low, high = azimuth[0], azimuth[0]
             for k in range(1, 3):
-                there = azimuth[0] + (azimuth[k] - azimuth[0] + 540.0) % 360.0 - 180.0
-                low, high = min(low, there), max(high, there)
+                unwrapped = azimuth[0] + (azimuth[k] - azimuth[0] + 540.0) % 360.0 - 180.0
+                low, high = min(low, unwrapped), max(high, unwrapped)
             turn = 360.0 if low < 0.0 else 0.0
             low, high = low + turn, high + turn
             if low >= 360.0:
                 low, high = low - 360.0, high - 360.0
-        begin, end = ends_towards(directions, low, high)
+        begin, end = direction_range(directions, low, high)
         for k in range(begin, end):
             n = k % count
             _sight(a, b, c, directions.sine[n], directions.cosine[n], tangent[n], highest, found, n, m)

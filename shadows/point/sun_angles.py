@@ -21,23 +21,23 @@ def sun_directions(world: World, utc_s: np.ndarray) -> np.ndarray:
 
     Raises ``InputError`` off the earth, and for years outside of the sun's ephemeris.
     """
-    if world.off_earth is not None:
-        raise InputError("time", Problem(f"a time gives no sun, since {world.off_earth}"), "Use azimuth and altitude")
+    if world.off_earth_reason is not None:
+        raise InputError("time", Problem(f"a time gives no sun, since {world.off_earth_reason}"), "Use azimuth and altitude")
     return _directions(world, np.asarray(utc_s, np.float64))
 
 
-def sun_looks(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
+def sun_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Return UTC seconds (n,) in even steps and at the end of a time span, and the sun's directions (n, 3).
 
     The last results are cached, since all points of a level share them. Raises as ``sun_directions``.
     """
-    if world.off_earth is not None:
+    if world.off_earth_reason is not None:
         sun_directions(world, np.zeros(0))
-    return _looks(world, begin_s, end_s, step_s)
+    return _cached_samples(world, begin_s, end_s, step_s)
 
 
 @cached("process", 16 * MIB)
-def _looks(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
+def _cached_samples(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
     utc_s = np.append(np.arange(begin_s, end_s, step_s), end_s)
     return utc_s, _directions(world, utc_s)
 
@@ -48,7 +48,7 @@ def angles_at(place: PointPlace, to_sun_earth: np.ndarray) -> tuple[np.ndarray, 
     return np.degrees(np.arctan2(east, north)) % 360.0, np.degrees(np.arctan2(up, np.hypot(east, north)))
 
 
-def own_sun_at(scene: Scene, place: PointPlace) -> tuple[float, float] | None:
+def scene_sun_at(scene: Scene, place: PointPlace) -> tuple[float, float] | None:
     """Return azimuth and altitude in degrees of the scene's own sun at a place; ``None`` without a sun."""
     return None if scene.sun is None else position_at(scene.sun.to_sun_earth, place.earth_from_enu)
 

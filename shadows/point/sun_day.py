@@ -12,9 +12,9 @@ from datetime import UTC, date, datetime, tzinfo
 
 import numpy as np
 
-from skugga.shadows.point.horizon import SunCaster, Surroundings, sun_reaches, what_hides
-from skugga.shadows.point.sun_angles import angles_at, sun_looks
-from skugga.terrain.geo.clock import day_ends
+from skugga.shadows.point.horizon import SunCaster, Surroundings, sees_sun, sun_occluders
+from skugga.shadows.point.sun_angles import angles_at, sun_samples
+from skugga.terrain.geo.clock import day_bounds
 
 STEP_S = 60.0
 FINE_STEP_S = 2.0
@@ -88,15 +88,15 @@ class SunDay:
     remark: str | None
 
 
-def sun_day(around: Surroundings, day: date, clock: tzinfo) -> SunDay:
+def sun_day(surroundings: Surroundings, day: date, clock: tzinfo) -> SunDay:
     """Return the sun of a day at a place.
 
     Raises ``InputError`` in a flat world, for years outside of the sun's ephemeris, and for a day that the clock's calendar skips.
     """
-    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
-    when, to_sun = sun_looks(around.scene.world, begin, end, STEP_S)
-    azimuth, altitude = angles_at(around.place, to_sun)
-    lit = sun_reaches(around, azimuth, altitude)
+    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
+    when, to_sun = sun_samples(surroundings.scene.world, begin, end, STEP_S)
+    azimuth, altitude = angles_at(surroundings.place, to_sun)
+    lit = sees_sun(surroundings, azimuth, altitude)
 
     def moment_of(second: float) -> datetime:
         return datetime.fromtimestamp(round(second), UTC).astimezone(clock)
@@ -104,21 +104,21 @@ def sun_day(around: Surroundings, day: date, clock: tzinfo) -> SunDay:
     up = altitude > 0.0
     rises, sets = (_crossings(when, altitude, rising) for rising in (True, False))
     changes = np.flatnonzero(lit[1:] != lit[:-1])
-    at = _refined(around, when, azimuth, altitude, lit, changes)
+    at = _change_times_s(surroundings, when, azimuth, altitude, lit, changes)
     bounds = np.concatenate([[begin] if lit[0] else [], at, [end] if lit[-1] else []])
-    hidden = _casters_beside(around, when, azimuth, altitude, lit, changes)
+    hidden = _occluders_at(surroundings, when, azimuth, altitude, lit, changes)
     hidden = [*([None] if lit[0] else []), *hidden, *([None] if lit[-1] else [])]
     sunlit = tuple(
         SunlitInterval(moment_of(bounds[n]), moment_of(bounds[n + 1]), hidden[n], hidden[n + 1]) for n in range(0, len(bounds), 2)
     )
-    daylight = _length(when, altitude, up, rises, sets)
+    daylight = _daylight_s(when, altitude, up, rises, sets)
     direct = float(sum(bounds[1::2] - bounds[::2]))
     highest = int(np.argmax(altitude))
     return SunDay(
         day=day,
         sunrise=moment_of(rises[0]) if len(rises) else None,
         sunset=moment_of(sets[-1]) if len(sets) else None,
-        noon=moment_of(_top(when, altitude, highest)),
+        noon=moment_of(_culmination_s(when, altitude, highest)),
         noon_altitude_deg=float(altitude[highest]),
         first_sun=sunlit[0].begin if sunlit else None,
         last_sun=sunlit[-1].end if sunlit else None,
@@ -151,14 +151,14 @@ def _crossings(when: np.ndarray, altitude_deg: np.ndarray, rising: bool) -> np.n
     return when[n] + share * (when[n + 1] - when[n])
 
 
-def _length(when: np.ndarray, altitude_deg: np.ndarray, up: np.ndarray, rises: np.ndarray, sets: np.ndarray) -> float:
+def _daylight_s(when: np.ndarray, altitude_deg: np.ndarray, up: np.ndarray, rises: np.ndarray, sets: np.ndarray) -> float:
     """Return the seconds during which the sun is up."""
     begins = np.concatenate([[when[0]] if up[0] else [], rises])
     ends = np.concatenate([sets, [when[-1]] if up[-1] else []])
     return float(np.sum(ends - begins))
 
 
-def _top(when: np.ndarray, altitude_deg: np.ndarray, n: int) -> float:
+def _culmination_s(when: np.ndarray, altitude_deg: np.ndarray, n: int) -> float:
     """Return the time of the highest altitude: the vertex of the parabola through three samples."""
     if not 0 < n < len(when) - 1:
         return float(when[n])
@@ -167,8 +167,8 @@ def _top(when: np.ndarray, altitude_deg: np.ndarray, n: int) -> float:
     return float(when[n] + (0.5 * (before - after) / bend if bend else 0.0) * STEP_S)
 
 
-def _refined(
-    around: Surroundings,
+def _change_times_s(
+    surroundings: Surroundings,
     when: np.ndarray,
     azimuth_deg: np.ndarray,
     altitude_deg: np.ndarray,
@@ -186,14 +186,14 @@ def _refined(
     turned = (azimuth_deg[changes + 1] - azimuth_deg[changes] + 180.0) % 360.0 - 180.0
     azimuth = azimuth_deg[changes, None] + share * turned[:, None]
     altitude = altitude_deg[changes, None] + share * (altitude_deg[changes + 1] - altitude_deg[changes])[:, None]
-    fine = sun_reaches(around, azimuth.ravel(), altitude.ravel()).reshape(azimuth.shape)
+    fine = sees_sun(surroundings, azimuth.ravel(), altitude.ravel()).reshape(azimuth.shape)
     fine = np.concatenate([fine, lit[changes + 1, None]], axis=1)
     first = np.argmax(fine != lit[changes, None], axis=1)  # the first of several changes
     return when[changes] + (first + 0.5) / count * (when[changes + 1] - when[changes])
 
 
-def _casters_beside(
-    around: Surroundings,
+def _occluders_at(
+    surroundings: Surroundings,
     when: np.ndarray,
     azimuth_deg: np.ndarray,
     altitude_deg: np.ndarray,
@@ -202,15 +202,15 @@ def _casters_beside(
 ) -> list[SunCaster | None]:
     """Return the occluder of the sun on the dark side of each change."""
     dark = np.where(lit[changes], changes + 1, changes)
-    return what_hides(around, azimuth_deg[dark], altitude_deg[dark]) if len(dark) else []
+    return sun_occluders(surroundings, azimuth_deg[dark], altitude_deg[dark]) if len(dark) else []
 
 
-def hours_between_looks(around: Surroundings, day: date, clock: tzinfo) -> float:
+def sampled_sun_hours(surroundings: Surroundings, day: date, clock: tzinfo) -> float:
     """Return the hours of direct sun of a day from samples every ``COARSE_STEP_S`` alone.
 
     This is for many points: each end of direct sun is off by at most 2.5 minutes.
     """
-    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
-    _, to_sun = sun_looks(around.scene.world, begin + COARSE_STEP_S / 2, end, COARSE_STEP_S)
-    azimuth, altitude = angles_at(around.place, to_sun[:-1])
-    return float(sun_reaches(around, azimuth, altitude).sum() * COARSE_STEP_S / 3600.0)
+    begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
+    _, to_sun = sun_samples(surroundings.scene.world, begin + COARSE_STEP_S / 2, end, COARSE_STEP_S)
+    azimuth, altitude = angles_at(surroundings.place, to_sun[:-1])
+    return float(sees_sun(surroundings, azimuth, altitude).sum() * COARSE_STEP_S / 3600.0)

@@ -12,10 +12,10 @@ from datetime import UTC, date, timedelta, tzinfo
 
 import numpy as np
 
-from skugga.shadows.point.horizon import Surroundings, objects_leave_free
+from skugga.shadows.point.horizon import Surroundings, clears_objects
 from skugga.shadows.point.horizon_walk import relief_horizon
 from skugga.shadows.point.sun_angles import angles_at, sun_directions
-from skugga.terrain.geo.clock import day_ends, has_day
+from skugga.terrain.geo.clock import day_bounds, has_day
 
 YEAR_STEP_S = 300.0
 FINE_HORIZON_DEG = 0.1
@@ -40,25 +40,25 @@ class SunYear:
     direct_h: np.ndarray
 
 
-def sun_year(around: Surroundings, year: int, clock: tzinfo) -> SunYear:
+def sun_year(surroundings: Surroundings, year: int, clock: tzinfo) -> SunYear:
     """Return the hours of sun of every day that a year has by a clock. Raises as ``sun_day``."""
     dates = (date(year, 1, 1) + timedelta(days=n) for n in range((date(year + 1, 1, 1) - date(year, 1, 1)).days))
     days = tuple(day for day in dates if has_day(day, clock))
-    midnight = np.array([day_ends(day, clock)[0].astimezone(UTC).timestamp() for day in days])
-    end = day_ends(days[-1], clock)[1].astimezone(UTC).timestamp()
+    midnight = np.array([day_bounds(day, clock)[0].astimezone(UTC).timestamp() for day in days])
+    end = day_bounds(days[-1], clock)[1].astimezone(UTC).timestamp()
     when = np.arange(midnight[0] + YEAR_STEP_S / 2, end, YEAR_STEP_S)
-    azimuth, altitude = angles_at(around.place, sun_directions(around.scene.world, when))
+    azimuth, altitude = angles_at(surroundings.place, sun_directions(surroundings.scene.world, when))
     up = altitude > 0.0
-    lit = up & (altitude > _interpolated_relief_deg(around, azimuth))
+    lit = up & (altitude > _interpolated_relief_deg(surroundings, azimuth))
     above = np.flatnonzero(lit)
-    lit[above] = objects_leave_free(around, azimuth[above], altitude[above])
+    lit[above] = clears_objects(surroundings, azimuth[above], altitude[above])
     which = np.searchsorted(midnight, when, side="right") - 1
     hours = [np.bincount(which, weights=each * (YEAR_STEP_S / 3600.0), minlength=len(days)) for each in (up, lit)]
     return SunYear(days, *hours)
 
 
-def _interpolated_relief_deg(around: Surroundings, azimuth_deg: np.ndarray) -> np.ndarray:
+def _interpolated_relief_deg(surroundings: Surroundings, azimuth_deg: np.ndarray) -> np.ndarray:
     """Return the horizon angle by ground (n,) towards azimuths, in degrees."""
     grid = np.arange(0.0, 360.0 + FINE_HORIZON_DEG / 2, FINE_HORIZON_DEG)
-    tangent = relief_horizon(around.scene, around.place, grid).tangent
+    tangent = relief_horizon(surroundings.scene, surroundings.place, grid).tangent
     return np.interp(azimuth_deg, grid, np.degrees(np.arctan(tangent)))

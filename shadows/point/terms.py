@@ -7,5 +7,5 @@ from typing import Literal
 CasterType = Literal["relief", "building", "mesh", "forest"]
 """The kinds of casters that hide the sun."""
 
-HIGHEST_EYE_M = 10_000.0
+MAX_EYE_HEIGHT_M = 10_000.0
 """Upper limit of the eye's height above the ground."""

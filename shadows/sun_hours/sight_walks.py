@@ -31,7 +31,7 @@ PASSED_TILE, PASSED_BLOCK = 8, 64
 EARTH_BEND = 0.5 / EARTH_RADIUS_M
 """Height that a level line of sight gains above the ground, per square metre of its length."""
 
-FREE, FREE_TIMES = 0.02, 1.0
+SEARCH_TANGENT, SEARCH_FACTOR = 0.02, 1.0
 """Tangent, and multiple of the step's change of altitude, whose sum bounds the search for a horizon below the sun.
 
 A lower horizon is not searched: nearer ground determines the crossing.
@@ -93,9 +93,9 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     windows: dict[int, list[NodeHeights]] = {0: [block]}
     for detail in sorted({patch.level for patch in patches}):
         surface = scene.surface(view.grid.coarser(detail))
-        there = [patch for patch in patches if patch.level == detail]
-        windows.setdefault(detail, []).extend(surface.height_window(*window) for window in patch_windows(there))
-    spans = {detail: _span(its) for detail, its in windows.items()}
+        detail_patches = [patch for patch in patches if patch.level == detail]
+        windows.setdefault(detail, []).extend(surface.height_window(*window) for window in patch_windows(detail_patches))
+    spans = {detail: _span(windows_of_detail) for detail, windows_of_detail in windows.items()}
     sizes = [rows * cols for _, _, rows, cols in spans.values()]
     counts = [
         [-(-(rows - 1) // side) * -(-(cols - 1) // side) for side in (PASSED_TILE, PASSED_BLOCK)]
@@ -107,7 +107,7 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     for n, (detail, (row0, col0, rows, cols)) in enumerate(spans.items()):
         grid, block_begin = height[begin : begin + rows * cols].reshape(rows, cols), tile_begin + counts[n][0]
         for window in windows[detail]:
-            _lay(window, grid[window.row0 - row0 :, window.col0 - col0 :])
+            _copy_heights(window, grid[window.row0 - row0 :, window.col0 - col0 :])
         tops, block_tops = top[tile_begin:block_begin], top[block_begin : block_begin + counts[n][1]]
         _highest_of_tiles(grid, tops.reshape(-1, -(-(cols - 1) // PASSED_TILE)), PASSED_TILE)
         _highest_of_tiles(grid, block_tops.reshape(-1, -(-(cols - 1) // PASSED_BLOCK)), PASSED_BLOCK)
@@ -123,7 +123,7 @@ def _span(windows: list[NodeHeights]) -> tuple[int, int, int, int]:
     return row0, col0, max(w.row0 + w.shape[0] for w in windows) - row0, max(w.col0 + w.shape[1] for w in windows) - col0
 
 
-def _lay(window: NodeHeights, out: np.ndarray) -> None:
+def _copy_heights(window: NodeHeights, out: np.ndarray) -> None:
     rows, cols = window.shape
     out[:rows, :cols] = window.height_m
 
@@ -145,20 +145,20 @@ def sun_track(day: WindowSun, nodes: BareNodes, world: World, turn: GridOrientat
         on_down, on_right = (np.sum(flat * axis, axis=1) / length for axis in (down, right))
         square = a * c - b * b
         towards[:, n] = (on_down * c - on_right * b) / square, (on_right * a - on_down * b) / square, rise / length
-    i, j = turn.onto(row, col, view.rows, view.cols)
+    i, j = turn.to_turned(row, col, view.rows, view.cols)
     shape = (view.cols, view.rows) if turn.swapped else (view.rows, view.cols)
     turned = np.array([0, 1, 0]), np.array([0, 0, 1])
-    first, after_row, after_col = np.stack(turn.origin(*turned, view.rows, view.cols), axis=1)
+    first, after_row, after_col = np.stack(turn.from_turned(*turned, view.rows, view.cols), axis=1)
     cell = np.stack([first + (int(view.row0), int(view.col0)), after_row - first, after_col - first], axis=1)
     last = np.maximum(np.array(shape, np.float64) - 1.0, 1.0)
     return SunTrack(float(ends[0]), float(ends[1]), towards @ quadratic_fit(i, j, shape).T, cell, last)
 
 
 @internal
-def free_tangent(ground, track, i, j, raised, minutes):
+def clearance_tangent(ground, track, i, j, eye_height_m, minutes):
     """Return by how much the tangent of the sun's altitude exceeds the horizon's, and the change of the first per minute.
 
-    They hold at a moment, for a turned cell seen from ``raised`` metres above its node.
+    They hold at a moment, for a turned cell seen from ``eye_height_m`` metres above its node.
     """
     cell, a = track.cell, track.towards
     row, col = cell[0, 0] + i * cell[0, 1] + j * cell[0, 2], cell[1, 0] + i * cell[1, 1] + j * cell[1, 2]
@@ -171,13 +171,13 @@ def free_tangent(ground, track, i, j, raised, minutes):
     s0, s1, s2 = quadratic(a[2, 0], y, x), quadratic(a[2, 1], y, x), quadratic(a[2, 2], y, x)
     rate = ((4.0 * u - 3.0) * s0 + (4.0 - 8.0 * u) * s1 + (4.0 * u - 1.0) * s2) / span
     sun = w0 * s0 + w1 * s1 + w2 * s2
-    least = sun - FREE_TIMES * abs(s2 - s0) - FREE
-    return sun - horizon_tangent(ground, row, col, raised, down, right, least), rate
+    least = sun - SEARCH_FACTOR * abs(s2 - s0) - SEARCH_TANGENT
+    return sun - horizon_tangent(ground, row, col, eye_height_m, down, right, least), rate
 
 
 @compiled
-def horizon_tangent(ground, row, col, raised, down, right, least):
-    """Return the maximum of ``least`` and of the tangent of the horizon angle, seen from ``raised`` metres above a node.
+def horizon_tangent(ground, row, col, eye_height_m, down, right, least):
+    """Return the maximum of ``least`` and of the tangent of the horizon angle, seen from ``eye_height_m`` metres above a node.
 
     The direction leads on by ``down`` rows and ``right`` columns per metre.
     """
@@ -188,7 +188,7 @@ def horizon_tangent(ground, row, col, raised, down, right, least):
     forward, beside = (1 if along > 0.0 else -1), (1 if aside > 0.0 else -1)
     slope = abs(aside / along)
     per_rising, per_falling, per_side = 1.0 / (1.0 + slope), 1.0 / max(1.0 - slope, 1e-9), 1.0 / max(slope, 1e-9)
-    own = np.float64(height[int(origin[0, 0] + (row - origin[0, 2]) * origin[0, 5] + col - origin[0, 3])]) + raised
+    own = np.float64(height[int(origin[0, 0] + (row - origin[0, 2]) * origin[0, 5] + col - origin[0, 3])]) + eye_height_m
     for n in range(len(origin)):
         begin, tile_begin, row0, col0 = origin[n, 0], origin[n, 1], origin[n, 2], origin[n, 3]
         rows, cols, side = origin[n, 4], origin[n, 5], origin[n, 6]
@@ -242,20 +242,20 @@ def horizon_tangent(ground, row, col, raised, down, right, least):
                 nw, ne = np.float64(height[at]), np.float64(height[at + to_q])
                 sw, se = np.float64(height[at + to_p]), np.float64(height[at + to_p + to_q])
                 if far > 0.0:
-                    best = _steeper(best, nw + f * (ne - nw) if f > 0.0 else nw, own, far)
+                    best = _max_tangent(best, nw + f * (ne - nw) if f > 0.0 else nw, own, far)
                     if f + slope <= 1.0 and slope < 1.0:
                         share = f * per_falling
-                        best = _steeper(best, nw + share * (se - nw), own, far + share * unit)
+                        best = _max_tangent(best, nw + share * (se - nw), own, far + share * unit)
                 share = (1.0 - f) * per_rising
-                best = _steeper(best, ne + share * (sw - ne), own, far + share * unit)
+                best = _max_tangent(best, ne + share * (sw - ne), own, far + share * unit)
                 if f + slope > 1.0:
                     share = (1.0 - f) * per_side
-                    best = _steeper(best, ne + share * (se - ne), own, far + share * unit)
+                    best = _max_tangent(best, ne + share * (se - ne), own, far + share * unit)
                     beyond = beside * (c + 2)
                     if 0 <= beyond < count_q:
                         share = (2.0 - f) * per_rising
                         over = np.float64(height[at + 2 * to_q])
-                        best = _steeper(best, over + share * (se - over), own, far + share * unit)
+                        best = _max_tangent(best, over + share * (se - over), own, far + share * unit)
                 k, x = k + 1, x + slope
         # The line ends on the last row or column of a grid.
         if (k > p) and 0 <= forward * k < count_p:
@@ -264,12 +264,12 @@ def horizon_tangent(ground, row, col, raised, down, right, least):
             if low >= 0 and high < count_q:
                 at = begin + forward * k * step_p + beside * c * step_q
                 nw, ne = np.float64(height[at]), np.float64(height[at + beside * step_q])
-                best = _steeper(best, nw + (x - c) * (ne - nw), own, (k - p) * unit)
+                best = _max_tangent(best, nw + (x - c) * (ne - nw), own, (k - p) * unit)
     return best
 
 
 @internal
-def _steeper(best, height, own, far):
+def _max_tangent(best, height, own, far):
     """Return the maximum of a tangent and of the tangent up to ground of a height at the distance ``far``."""
     rise = height - own - EARTH_BEND * far * far
     return rise / far if rise > best * far else best

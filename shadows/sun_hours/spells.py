@@ -9,7 +9,7 @@ to such a time, a new occluder has appeared or an old one has gone. Clearances t
 direct interpolation and the middle has the smallest error.
 
 This is a first estimate. With long steps it is refined: a walk finds the cell's horizon towards the sun at that moment
-(``skugga.shadows.sun_hours.sight_walks``). The method of false position then gives the next moment, ``WALKS`` times at most. The
+(``skugga.shadows.sun_hours.sight_walks``). The method of false position then gives the next moment, ``MAX_WALKS`` times at most. The
 loops are compiled.
 """
 
@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.shadows.sun_hours.quadratics import quadratic
-from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent
+from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearance_tangent
 from skugga.shadows.sweep.grid import GridOrientation, copy_into
-from skugga.terrain.compiled import compiled, internal, on_cores
+from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 UNSHADED = np.float32(1e6)
 """Clearance without an occluder: its true value is unknown."""
@@ -39,10 +39,10 @@ Across a wide block such a sun has long risen elsewhere, and level ground hides 
 then lit from its own sunrise, or until its own sunset.
 """
 
-WALKS = 3
+MAX_WALKS = 3
 """Maximum number of walks to a cell's horizon between two moments."""
 
-NEAR_MIN = 1.0
+CROSSING_TOLERANCE_MIN = 1.0
 """Tolerance in minutes for the last correction of a crossing: the remaining error is a tenth of that."""
 
 BAND_ROWS = 128
@@ -86,13 +86,13 @@ class Sight(NamedTuple):
         The ground that casts shadows.
     track
         The sun.
-    raised
+    eye_height_m
         Metres of the eyes above their nodes.
     """
 
     ground: WalkedGround
     track: SunTrack
-    raised: float
+    eye_height_m: float
 
 
 class ClockReading(NamedTuple):
@@ -146,9 +146,9 @@ def turned_spells(spells: Spells, before: GridOrientation, after: GridOrientatio
 
 def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientation) -> np.ndarray:
     """Return values (n, m) of one turned grid in the order of another one."""
-    there = after.turned(before.back(values))
-    out = np.empty(there.shape, there.dtype)
-    copy_into(there, out)
+    view = after.turned(before.restored(values))
+    out = np.empty(view.shape, view.dtype)
+    copy_into(view, out)
     return out
 
 
@@ -166,14 +166,14 @@ def add_between(
     The first may equal the second, and the fourth the third, at the ends of a span. ``begins`` marks the first step of a span.
     ``fit`` is a ``quadratic_fit``. ``sight``, if given, refines the crossings.
     """
-    before, here, there, after = moments
+    before, start_moment, end_moment, after = moments
     times = np.array([moment.minutes for moment in moments])
-    floored = min(float(here.above.min()), float(there.above.min())) <= 0.0
-    floors = np.stack([fit @ here.above, fit @ there.above])
+    floored = min(float(start_moment.above.min()), float(end_moment.above.min())) <= 0.0
+    floors = np.stack([fit @ start_moment.above, fit @ end_moment.above])
 
     def band(rows: slice) -> None:
         part = Spells(*(values[rows] for values in spells))
-        four = (before.clearance[rows], here.clearance[rows], there.clearance[rows], after.clearance[rows])
+        four = (before.clearance[rows], start_moment.clearance[rows], end_moment.clearance[rows], after.clearance[rows])
         _add(part, *four, times, floors, begins, floored, rows.start, len(spells.day), clock, sight)
 
     _in_bands(band, len(spells.day), cores)
@@ -191,37 +191,37 @@ def end_day(spells: Spells, threshold_min: float) -> None:
     spells.day[:] = 0.0
 
 
-def clearances(level: np.ndarray, shade: np.ndarray, raised: float, out: np.ndarray, cores: int) -> np.ndarray:
-    """Write to ``out`` (n, m), and return, the clearances of eyes ``raised`` above the cells' levels."""
+def clearances(level: np.ndarray, shade: np.ndarray, eye_height_m: float, out: np.ndarray, cores: int) -> np.ndarray:
+    """Write to ``out`` (n, m), and return, the clearances of eyes ``eye_height_m`` above the cells' levels."""
 
     def band(rows: slice) -> None:
-        _clear(level[rows], shade[rows], np.float32(raised), out[rows])
+        _compute_clearances(level[rows], shade[rows], np.float32(eye_height_m), out[rows])
 
     _in_bands(band, len(out), cores)
     return out
 
 
 def _in_bands(work: Callable[[slice], None], rows: int, cores: int) -> None:
-    on_cores(work, (slice(first, min(first + BAND_ROWS, rows)) for first in range(0, rows, BAND_ROWS)), cores)
+    map_on_cores(work, (slice(first, min(first + BAND_ROWS, rows)) for first in range(0, rows, BAND_ROWS)), cores)
 
 
 @compiled
-def _clear(level, shade, raised, out):
+def _compute_clearances(level, shade, eye_height_m, out):
     rows, cols = out.shape
     for i in range(rows):
         own, above, row = level[i], shade[i], out[i]
         for j in range(cols):
-            free = own[j] - above[j] + raised
+            free = own[j] - above[j] + eye_height_m
             row[j] = UNSHADED if free > UNSHADED else free
 
 
 @compiled
-def _add(spells, before, here, there, after, times, floors, begins, floored, first_row, count, clock, sight):
+def _add(spells, before, start, stop, after, times, floors, begins, floored, first_row, count, clock, sight):
     t0, t1 = times[1], times[2]
-    rows, cols = here.shape
+    rows, cols = start.shape
     for i in range(rows):
         for j in range(cols):
-            e0, e1 = here[i, j], there[i, j]
+            e0, e1 = start[i, j], stop[i, j]
             lit0, lit1 = e0 >= 0.0, e1 >= 0.0
             if lit0 == lit1 and not begins and not floored:
                 continue
@@ -229,9 +229,9 @@ def _add(spells, before, here, there, after, times, floors, begins, floored, fir
                 continue
             begin, end = t0, t1
             if lit0 != lit1:
-                crossing = _crossing(before[i, j], e0, e1, after[i, j], times)
+                crossing = _estimate_crossing(before[i, j], e0, e1, after[i, j], times)
                 if sight is not None:
-                    crossing = _walked(sight, first_row + i, j, lit0, crossing, t0, t1)
+                    crossing = _refine_crossing(sight, first_row + i, j, lit0, crossing, t0, t1)
                 if lit0:
                     end = crossing
                 else:
@@ -249,19 +249,19 @@ def _add(spells, before, here, there, after, times, floors, begins, floored, fir
                     end = min(t1 if lit0 and s1 < -BELOW_FLOOR else end, t0 + (t1 - t0) * s0 / (s0 - s1))
             since = np.float64(spells.since[i, j])
             if since >= 0.0 and (end < begin or begin > t0):
-                _close(spells, i, j, since, t0, clock)
+                _end_spell(spells, i, j, since, t0, clock)
                 since = -1.0
             if end >= begin:
                 if since < 0.0:
                     since = begin
                 if end < t1:
-                    _close(spells, i, j, since, end, clock)
+                    _end_spell(spells, i, j, since, end, clock)
                     since = -1.0
             spells.since[i, j] = since
 
 
 @internal
-def _crossing(before, e0, e1, after, times):
+def _estimate_crossing(before, e0, e1, after, times):
     """Estimate when a clearance crosses 0 between the second and the third of four moments."""
     tb, t0, t1, ta = times[0], times[1], times[2], times[3]
     by_before = by_after = np.nan
@@ -282,12 +282,12 @@ def _crossing(before, e0, e1, after, times):
 
 
 @internal
-def _walked(sight, i, j, lit0, crossing, t0, t1):
+def _refine_crossing(sight, i, j, lit0, crossing, t0, t1):
     """Refine the estimate of when the sun passes a cell's horizon; ``lit0``: the cell is sunlit at the earlier moment."""
     low, high = t0, t1
     t, before, free_before = crossing, np.nan, np.nan
-    for _ in range(WALKS):
-        free, rate = free_tangent(sight.ground, sight.track, i, j, sight.raised, t)
+    for _ in range(MAX_WALKS):
+        free, rate = clearance_tangent(sight.ground, sight.track, i, j, sight.eye_height_m, t)
         if (free >= 0.0) == lit0:
             low = t
         else:
@@ -297,7 +297,7 @@ def _walked(sight, i, j, lit0, crossing, t0, t1):
             following = 0.5 * (low + high)
         before, free_before = t, free
         t, moved = following, abs(following - t)
-        if moved < NEAR_MIN:
+        if moved < CROSSING_TOLERANCE_MIN:
             break
     return t
 
@@ -308,7 +308,7 @@ def _read(clock, t):
 
 
 @internal
-def _close(spells, i, j, since, until, clock):
+def _end_spell(spells, i, j, since, until, clock):
     """End a cell's spell of sun."""
     length = until - since
     if length <= 0.0:
@@ -329,5 +329,5 @@ def _end(spells, until, clock):
         for j in range(cols):
             since = np.float64(spells.since[i, j])
             if since >= 0.0:
-                _close(spells, i, j, since, until, clock)
+                _end_spell(spells, i, j, since, until, clock)
                 spells.since[i, j] = -1.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent, sun_track, walked_ground
+from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, clearance_tangent, sun_track, walked_ground
 from skugga.shadows.sun_hours.suns import WindowSun, sun_spans
 from skugga.shadows.sweep.grid import GridOrientation
 from skugga.terrain.compiled import compiled
@@ -35,31 +35,31 @@ MOST_MISSED_MIN = 0.006
 Mountains have 0.000 to 0.005, cities 0.02 to 0.06, and surfaces of woods 0.05 to 0.19.
 """
 
-UPRIGHT = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
+IDENTITY = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
 
 
-def step_for(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> float:
+def sampling_step_min(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> float:
     """Return the minutes between two samples of a day's sun, for a block of bare ground with eyes ``height_m`` above it.
 
     Ground beside the block is ignored: it is far from most cells, and distant ground casts long-lasting shadows.
     """
-    missed_min = missed_minutes(minutes_lit(scene, nodes, day, least_altitude_deg, height_m), int(LONG_STEP_MIN))
+    missed_min = missed_minutes(lit_by_minute(scene, nodes, day, least_altitude_deg, height_m), int(LONG_STEP_MIN))
     return LONG_STEP_MIN if missed_min.mean() <= MOST_MISSED_MIN else SHORT_STEP_MIN
 
 
-def minutes_lit(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:
+def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:
     """Return whether sampled cells of a block see the sun, in each minute that it is up: bool (cells, minutes)."""
     rows, cols = np.nonzero(nodes.shown)
-    some = np.random.default_rng(0).choice(len(rows), min(SAMPLED_CELLS, len(rows)), replace=False)
-    cells = np.stack([rows[some], cols[some]], axis=1)
+    sample = np.random.default_rng(0).choice(len(rows), min(SAMPLED_CELLS, len(rows)), replace=False)
+    cells = np.stack([rows[sample], cols[sample]], axis=1)
     ground = walked_ground(scene, nodes, ())
     parts = [np.empty((len(cells), 0), bool)]
     for span in sun_spans(day, nodes.view, scene.world, least_altitude_deg, TRACK_MIN):
-        first, last = span.looked_for_min(0), span.looked_for_min(len(span.knots_min) - 1)
+        first, last = span.sample_min(0), span.sample_min(len(span.samples_min) - 1)
         for begin in np.arange(first, last, TRACK_MIN):
             times = np.arange(begin, min(begin + TRACK_MIN, last))
-            track = sun_track(day, nodes, scene.world, UPRIGHT, (float(begin), float(min(begin + TRACK_MIN, last))))
-            parts.append(_see(ground, track, cells, height_m, times))
+            track = sun_track(day, nodes, scene.world, IDENTITY, (float(begin), float(min(begin + TRACK_MIN, last))))
+            parts.append(_sunlit_by_minute(ground, track, cells, height_m, times))
     return np.concatenate(parts, axis=1)
 
 
@@ -81,10 +81,10 @@ def missed_minutes(lit: np.ndarray, step: int) -> np.ndarray:
 
 
 @compiled
-def _see(ground: WalkedGround, track: SunTrack, cells: np.ndarray, height_m: float, times: np.ndarray) -> np.ndarray:
+def _sunlit_by_minute(ground: WalkedGround, track: SunTrack, cells: np.ndarray, height_m: float, times: np.ndarray) -> np.ndarray:
     lit = np.empty((len(cells), len(times)), np.bool_)
     for n in range(len(cells)):
         for k in range(len(times)):
-            free, _ = free_tangent(ground, track, cells[n, 0], cells[n, 1], height_m, times[k])
+            free, _ = clearance_tangent(ground, track, cells[n, 0], cells[n, 1], height_m, times[k])
             lit[n, k] = free >= 0.0
     return lit

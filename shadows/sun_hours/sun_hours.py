@@ -34,15 +34,15 @@ from skugga.shadows.sun_hours.spells import (
     turned_copy,
     turned_spells,
 )
-from skugga.shadows.sun_hours.steps import UPRIGHT, step_for
+from skugga.shadows.sun_hours.steps import IDENTITY, sampling_step_min
 from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, lattice_of, sun_spans
 from skugga.shadows.sweep.grid import GridOrientation
 from skugga.shadows.sweep.sweep import clearance_of_nodes
-from skugga.terrain.casters.reach import Patch, casters_in_sun
+from skugga.terrain.casters.reach import Patch, find_sun_casters
 from skugga.terrain.compiled import CORES
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
-from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.gbuffer.supersampling import is_bare
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.sun import Sun
 from skugga.terrain.geo.world import transformer
@@ -157,26 +157,26 @@ def sun_hours(
     """
     scene = _under_clear_sky(scene)
     if is_bare(scene) and view.on_nodes:
-        over: _BareBlock | _DrawnBlock = _BareBlock(scene, bare_nodes(scene, view, 1), rules)
+        block: _TerrainBlock | _RenderedBlock = _TerrainBlock(scene, bare_nodes(scene, view, 1), rules)
     elif rules.height_m:
         raise InputError("height", rules.height_m, "0, where objects stand on the ground")
     else:
-        over = _DrawnBlock(scene, view, plan_of)
-    known = over.known()
-    seen = _Seen(view, UPRIGHT, no_spells((view.rows, view.cols)))
-    if known.any():
-        step_min = rules.step_min or over.step_min(days[len(days) // 2])
+        block = _RenderedBlock(scene, view, plan_of)
+    valid = block.valid()
+    seen = _BlockSpells(view, IDENTITY, no_spells((view.rows, view.cols)))
+    if valid.any():
+        step_min = rules.step_min or block.step_min(days[len(days) // 2])
         for day in days:
             clock = ClockReading(day.window.clock_min, day.window.change_min, day.window.change_by_min)
             for span in sun_spans(day, view, scene.world, rules.least_altitude_deg, step_min):
-                seen = _through(seen, over, day, span, clock)
+                seen = _add_span(seen, block, day, span, clock)
             end_day(seen.spells, rules.threshold_h * 60.0)
             if on_day is not None:
                 on_day()
-    spells = turned_spells(seen.spells, seen.turn, UPRIGHT)
+    spells = turned_spells(seen.spells, seen.turn, IDENTITY)
 
     def shown(values: np.ndarray) -> np.ndarray:
-        return np.where(known, values, np.float32(np.nan))
+        return np.where(valid, values, np.float32(np.nan))
 
     hours = spells.total / np.float32(60.0 * max(len(days), 1))
     return SunHours(
@@ -185,100 +185,102 @@ def sun_hours(
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _BlockSpells:
     """The sun of a block's cells so far, in the order of a turned grid."""
 
     view: MapView
     turn: GridOrientation
     spells: Spells
 
-    def turned(self, turn: GridOrientation) -> _Seen:
-        return self if turn == self.turn else _Seen(self.view, turn, turned_spells(self.spells, self.turn, turn))
+    def turned(self, turn: GridOrientation) -> _BlockSpells:
+        return self if turn == self.turn else _BlockSpells(self.view, turn, turned_spells(self.spells, self.turn, turn))
 
     @property
     def fit(self) -> np.ndarray:
         """The ``quadratic_fit`` of the block's lattice."""
         row, col = lattice_of(self.view)
-        i, j = self.turn.onto(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
+        i, j = self.turn.to_turned(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
         return quadratic_fit(i, j, self.spells.day.shape)
 
 
-def _through(seen: _Seen, over: _BareBlock | _DrawnBlock, day: WindowSun, span: SunSpan, clock: ClockReading) -> _Seen:
+def _add_span(
+    seen: _BlockSpells, block: _TerrainBlock | _RenderedBlock, day: WindowSun, span: SunSpan, clock: ClockReading
+) -> _BlockSpells:
     """Add a span of a day."""
     moments: list[Moment] = []
     begins = True
 
     def add(four: tuple[Moment, Moment, Moment, Moment]) -> None:
-        sight = over.sight(day, (four[1].minutes, four[2].minutes), seen.turn)
+        sight = block.sight(day, (four[1].minutes, four[2].minutes), seen.turn)
         add_between(seen.spells, four, clock, seen.fit, begins, sight, CORES)
 
-    for number, (turn, clearance) in enumerate(over.clearances(day, span)):
+    for number, (turn, clearance) in enumerate(block.clearances(day, span)):
         if turn != seen.turn:
             moments = [replace(m, clearance=turned_copy(m.clearance, seen.turn, turn)) for m in moments]
             seen = seen.turned(turn)
-        moments.append(Moment(float(span.knots_min[number]), clearance, span.above[number].ravel()))
+        moments.append(Moment(float(span.samples_min[number]), clearance, span.above[number].ravel()))
         if number >= 2:
-            here, there, after = moments[-3:]
-            add((moments[-4] if number >= 3 else here, here, there, after))
+            start_moment, end_moment, after = moments[-3:]
+            add((moments[-4] if number >= 3 else start_moment, start_moment, end_moment, after))
             begins = False
         del moments[:-3]
-    here, there = moments[-2:]
-    add((moments[-3] if len(moments) >= 3 else here, here, there, there))
-    end_spells(seen.spells, float(span.knots_min[-1]), clock)
+    start_moment, end_moment = moments[-2:]
+    add((moments[-3] if len(moments) >= 3 else start_moment, start_moment, end_moment, end_moment))
+    end_spells(seen.spells, float(span.samples_min[-1]), clock)
     return seen
 
 
-class _BareBlock:
+class _TerrainBlock:
     """Clearances of bare ground, metres, by the line sweep."""
 
     def __init__(self, scene: Scene, nodes: BareNodes, rules: SunRules) -> None:
         self._scene, self._nodes, self._rules, self._height_m = scene, nodes, rules, rules.height_m
-        self._alone = _holds_all_ground(scene, nodes.view)
-        self._looked: deque[tuple[Patch, ...]] = deque(maxlen=3)  # the patches of the last three moments
+        self._has_all_ground = _holds_all_ground(scene, nodes.view)
+        self._recent_patches: deque[tuple[Patch, ...]] = deque(maxlen=3)  # the patches of the last three moments
         self._ground: tuple[tuple[Patch, ...], WalkedGround] | None = None
 
-    def known(self) -> np.ndarray:
+    def valid(self) -> np.ndarray:
         """Return the valid mask: cells (rows, cols) that show ground."""
         return self._nodes.shown
 
     def step_min(self, day: WindowSun) -> float:
         """Return the minutes between two samples, from a representative day."""
-        return step_for(self._scene, self._nodes, day, self._rules.least_altitude_deg, self._height_m)
+        return sampling_step_min(self._scene, self._nodes, day, self._rules.least_altitude_deg, self._height_m)
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Yield the orientation and the clearances (n, m) at each moment of a span. The fifth ones reuse the array of the first."""
         used: list[np.ndarray] = []
         for minutes, patches in self._casters(day, span):
-            self._looked.append(patches)
-            found = clearance_of_nodes(self._nodes, self._under(day, minutes), patches, LINES)
+            self._recent_patches.append(patches)
+            found = clearance_of_nodes(self._nodes, self._scene_at(day, minutes), patches, LINES)
             spare = used.pop(0) if len(used) == 4 else None
             if spare is None or spare.shape != found.level_m.shape:
                 spare = np.empty(found.level_m.shape, np.float32)
-            used.append(clearances(found.level_m, found.shade_m, self._height_m * found.rise, spare, CORES))
+            used.append(clearances(found.level_m, found.shade_m, self._height_m * found.level_per_metre, spare, CORES))
             yield found.turn, used[-1]
 
     def sight(self, day: WindowSun, ends: tuple[float, float], turn: GridOrientation) -> Sight | None:
         """Return the occlusion of cells between two moments, if they are far enough apart for walks."""
         if ends[1] - ends[0] <= WALKED_MIN:
             return None
-        patches = tuple(dict.fromkeys(patch for looked in self._looked for patch in looked))
+        patches = tuple(dict.fromkeys(patch for looked in self._recent_patches for patch in looked))
         if self._ground is None or self._ground[0] != patches:
             self._ground = None  # free the memory before the next one is made
             self._ground = patches, walked_ground(self._scene, self._nodes, patches)
         return Sight(self._ground[1], sun_track(day, self._nodes, self._scene.world, turn, ends), self._height_m)
 
-    def _under(self, day: WindowSun, minutes: float) -> Scene:
+    def _scene_at(self, day: WindowSun, minutes: float) -> Scene:
         return replace(self._scene, sun=day.sun(minutes, self._scene.world))
 
     def _casters(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
         """Yield each sampled moment, with the ground beside the block that may cast shadows on it then."""
-        first, last = span.looked_for_min(0), span.looked_for_min(len(span.knots_min) - 1)
+        first, last = span.sample_min(0), span.sample_min(len(span.samples_min) - 1)
         end = -np.inf
         before: tuple[Patch, ...] = ()
         after: tuple[Patch, ...] = ()
-        for number in range(len(span.knots_min)):
-            minutes = span.looked_for_min(number)
-            if not self._alone and minutes >= end:
+        for number in range(len(span.samples_min)):
+            minutes = span.sample_min(number)
+            if not self._has_all_ground and minutes >= end:
                 begin = np.floor(minutes / CASTERS_MIN) * CASTERS_MIN
                 before = after if begin == end else self._patches(day, float(np.clip(begin, first, last)))
                 end = begin + CASTERS_MIN
@@ -286,33 +288,33 @@ class _BareBlock:
             yield minutes, tuple(dict.fromkeys((*before, *after)))
 
     def _patches(self, day: WindowSun, minutes: float) -> tuple[Patch, ...]:
-        return casters_in_sun(self._under(day, minutes), self._nodes)
+        return find_sun_casters(self._scene_at(day, minutes), self._nodes)
 
 
-class _DrawnBlock:
+class _RenderedBlock:
     """Clearances by a plan's algorithms: the visible share of the sun, less a half."""
 
     def __init__(self, scene: Scene, view: MapView, plan_of: Callable[[Scene], Plan]) -> None:
         self._scene, self._view, self._plan_of = scene, view, plan_of
 
-    def known(self) -> np.ndarray:
+    def valid(self) -> np.ndarray:
         """Return the valid mask: cells (rows, cols) that show a surface."""
-        return self._drawn(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).there
+        return self._render(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).there
 
     def step_min(self, day: WindowSun) -> float:
         """Return the minutes between two pictures; the same for all days."""
         return DRAWN_STEP_MIN
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
-        """Do as ``_BareBlock.clearances``, in the order of the cells."""
-        for number in range(len(span.knots_min)):
-            frame = self._drawn(day.sun(span.looked_for_min(number), self._scene.world))
-            yield UPRIGHT, frame.visibilities[SUN] - np.float32(0.5)
+        """Do as ``_TerrainBlock.clearances``, in the order of the cells."""
+        for number in range(len(span.samples_min)):
+            frame = self._render(day.sun(span.sample_min(number), self._scene.world))
+            yield IDENTITY, frame.visibilities[SUN] - np.float32(0.5)
 
     def sight(self, day: WindowSun, ends: tuple[float, float], turn: GridOrientation) -> None:
         """Return ``None``: pictures give no occlusion between two moments."""
 
-    def _drawn(self, sun: Sun) -> Frame:
+    def _render(self, sun: Sun) -> Frame:
         scene = replace(self._scene, sun=sun)
         return render_frame(scene, self._view, self._plan_of(scene))
 
@@ -320,7 +322,7 @@ class _DrawnBlock:
 def _under_clear_sky(scene: Scene) -> Scene:
     """Return a scene without clouds that hide its sun."""
     level = scene.loaded.level
-    if not level.weather.overcast:
+    if not level.weather.is_overcast:
         return scene
     clear = level.model_copy(update={"weather": level.weather.model_copy(update={"cloud_cover": 0.0})})
     return replace(scene, loaded=scene.loaded.model_copy(update={"level": clear}))

@@ -22,13 +22,13 @@ from skugga.terrain.geo.world import World
 BLOCK_PLACES = 5
 """Rows and columns of positions that represent a block."""
 
-LOWEST_LIFTED_DEG = -0.8333
+MIN_REFRACTED_DEG = -0.8333
 """Altitude below which the formula has no refraction: no part of the sun's disc is visible."""
 
-UP_MIN = 0.02
+HORIZON_OFFSET_MIN = 0.02
 """Minutes after a rise, and before a set, of the sun that is used there."""
 
-APART_MIN = 0.25
+MIN_SPACING_MIN = 0.25
 """Minimum minutes between two samples."""
 
 
@@ -44,7 +44,7 @@ class WindowSun:
         (n,): minutes after the window's start.
     towards_earth
         (n, 3): earth-fixed unit vectors towards the apparent sun.
-    bare_earth
+    unrefracted_earth
         (n, 3): the same without refraction.
     azimuth_deg, altitude_deg
         (n,): apparent azimuths and altitudes at the level's anchor.
@@ -55,7 +55,7 @@ class WindowSun:
     window: DailyWindow
     times_min: np.ndarray
     towards_earth: np.ndarray
-    bare_earth: np.ndarray
+    unrefracted_earth: np.ndarray
     azimuth_deg: np.ndarray
     altitude_deg: np.ndarray
     lift_deg: np.ndarray
@@ -80,19 +80,19 @@ class SunSpan:
 
     Attributes
     ----------
-    knots_min
+    samples_min
         (k,): sampled moments, minutes after the window's start.
     above
         (k, BLOCK_PLACES, BLOCK_PLACES): the sine of the altitude less that of the floor, at positions of the block.
     """
 
-    knots_min: np.ndarray
+    samples_min: np.ndarray
     above: np.ndarray
 
-    def looked_for_min(self, number: int) -> float:
+    def sample_min(self, number: int) -> float:
         """Return the moment whose sun is used at a knot, minutes: it lies inside of the span."""
-        first, last = self.knots_min[0] + UP_MIN, self.knots_min[-1] - UP_MIN
-        return float(np.clip(self.knots_min[number], first, max(first, last)))
+        first, last = self.samples_min[0] + HORIZON_OFFSET_MIN, self.samples_min[-1] - HORIZON_OFFSET_MIN
+        return float(np.clip(self.samples_min[number], first, max(first, last)))
 
 
 def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]:
@@ -100,8 +100,8 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
 
     Raises ``UnsupportedError`` off the earth, and ``InputError`` for years outside of the sun's ephemeris.
     """
-    if world.off_earth is not None:
-        raise UnsupportedError("date", str(windows[0].date), f"{world.off_earth}, so a date gives no sun")
+    if world.off_earth_reason is not None:
+        raise UnsupportedError("date", str(windows[0].date), f"{world.off_earth_reason}, so a date gives no sun")
     days = []
     for window in windows:
         times = np.append(np.arange(0.0, window.minutes, 1.0), window.minutes)
@@ -116,16 +116,16 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
     return days
 
 
-def lifted_sine(sine: np.ndarray) -> np.ndarray:
+def refracted_sine(sine: np.ndarray) -> np.ndarray:
     """Return the sine of the sun's apparent altitude, from the sine of its altitude without refraction.
 
     The formula is that of ``sun_path`` (Reda & Andreas 2004, eq. 42). So each position in a wide block has its own sunrise.
     """
     altitude = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
     air = PRESSURE_PA / 101000.0 * 283.0 / (273.0 + TEMPERATURE_C)
-    over = np.maximum(altitude, LOWEST_LIFTED_DEG)
+    over = np.maximum(altitude, MIN_REFRACTED_DEG)
     lift = air * 1.02 / (60.0 * np.tan(np.radians(over + 10.3 / (over + 5.11))))
-    return np.asarray(np.sin(np.radians(altitude + np.where(altitude >= LOWEST_LIFTED_DEG, lift, 0.0))))
+    return np.asarray(np.sin(np.radians(altitude + np.where(altitude >= MIN_REFRACTED_DEG, lift, 0.0))))
 
 
 def lattice_of(view: MapView) -> tuple[np.ndarray, np.ndarray]:
@@ -141,14 +141,14 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
     _, up = world.ground(view.grid.crs, x, y)
     up, floor = up.reshape(-1, 3), np.sin(np.radians(floor_deg))
-    heights = lifted_sine(day.bare_earth @ up.T) - floor
+    heights = refracted_sine(day.unrefracted_earth @ up.T) - floor
     spells = []
     for first, last in _above_zero(day.times_min, heights.max(axis=1)):
         steps = np.arange(np.ceil(first / step_min), np.floor(last / step_min) + 1.0) * step_min
-        whole = [t for spell in _above_zero(day.times_min, heights.min(axis=1)) for t in spell if first < t < last]
+        floor_crossings = [t for spell in _above_zero(day.times_min, heights.min(axis=1)) for t in spell if first < t < last]
         knots = [first]
-        for moment in sorted([*steps, *whole]):
-            if moment - knots[-1] >= APART_MIN and last - moment >= APART_MIN:
+        for moment in sorted([*steps, *floor_crossings]):
+            if moment - knots[-1] >= MIN_SPACING_MIN and last - moment >= MIN_SPACING_MIN:
                 knots.append(float(moment))
         moments = np.array([*knots, last])
         above = np.stack([np.interp(moments, day.times_min, place) for place in heights.T], axis=1)

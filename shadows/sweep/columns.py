@@ -24,12 +24,12 @@ import numpy as np
 
 from skugga.shadows.sweep.grid import BENT_CELLS, LATTICE, bent_rays_error, beyond_crs_error
 from skugga.shadows.sweep.points import cubic
-from skugga.shadows.sweep.rays import SunRays, rays_over
+from skugga.shadows.sweep.rays import SunRays, rays_at
 from skugga.terrain.casters.reach import PATCH_QUADS, Casters
-from skugga.terrain.compiled import compiled, internal, on_cores
+from skugga.terrain.compiled import compiled, internal, map_on_cores
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import RELIEF
-from skugga.terrain.ground.columns import Columns, PlacedOnColumns
+from skugga.terrain.ground.columns import ColumnIndices, Columns
 from skugga.terrain.scene import Scene
 
 BAND_CELLS = 16
@@ -55,32 +55,32 @@ class TurnedColumns(NamedTuple):
     ----------
     height
         float32 (n, m), metres: the tops; ``NO_COLUMN`` where a cell has none.
-    tops
+    block_max
         float32 (n / BAND_CELLS, m / BAND_CELLS), rounded up, metres: the highest top of each block of cells.
-    ahead
+    max_ahead
         float32 (n + 1,), metres: the highest top of all rows before a border, on the way to the sun.
-    place
-        (n + 1, 4): the column of ground at height ``middle``.
-    lean
+    column_of_t
+        (n + 1, 4): the column of ground at height ``reference_height_m``.
+    column_per_metre
         (n + 1, 4): its shift in columns per metre of height.
-    zero
+    level_at_zero
         (n + 1, 4), metres: the level of height 0.
-    rise
+    level_per_metre
         (n + 1, 4): the change of the level per metre of height.
-    middle
-        Metres: the reference height of ``place``.
+    reference_height_m
+        Metres: the reference height of ``column_of_t``.
     side
         Size of a cell, in cells of the points' t.
     """
 
     height: np.ndarray
-    tops: np.ndarray
-    ahead: np.ndarray
-    place: np.ndarray
-    lean: np.ndarray
-    zero: np.ndarray
-    rise: np.ndarray
-    middle: float
+    block_max: np.ndarray
+    max_ahead: np.ndarray
+    column_of_t: np.ndarray
+    column_per_metre: np.ndarray
+    level_at_zero: np.ndarray
+    level_per_metre: np.ndarray
+    reference_height_m: float
     side: float
 
 
@@ -98,10 +98,10 @@ class ColumnGround:
         Rows and columns before turning.
     columns
         The turned columns.
-    along
-        (n + 1, 4): cubics of the metres towards the sun at height 0, as ``TurnedColumns.zero`` is for levels.
-    along_rise
-        (n + 1, 4): cubics of their change per metre of height, as ``TurnedColumns.rise`` is for levels.
+    towards_at_zero
+        (n + 1, 4): cubics of the metres towards the sun at height 0, as ``TurnedColumns.level_at_zero`` is for levels.
+    towards_per_metre
+        (n + 1, 4): cubics of their change per metre of height, as ``TurnedColumns.level_per_metre`` is for levels.
     """
 
     detail: int
@@ -109,14 +109,15 @@ class ColumnGround:
     col0: int
     shape: tuple[int, int]
     columns: TurnedColumns
-    along: np.ndarray
-    along_rise: np.ndarray
+    towards_at_zero: np.ndarray
+    towards_per_metre: np.ndarray
 
     def tilted(self, angle: float) -> TurnedColumns:
         """Return the columns under a sun that is higher by an angle in radians."""
         cosine, sine = np.cos(angle), np.sin(angle)
         return self.columns._replace(
-            zero=cosine * self.columns.zero - sine * self.along, rise=cosine * self.columns.rise - sine * self.along_rise
+            level_at_zero=cosine * self.columns.level_at_zero - sine * self.towards_at_zero,
+            level_per_metre=cosine * self.columns.level_per_metre - sine * self.towards_per_metre,
         )
 
 
@@ -175,22 +176,22 @@ class ColumnSweep:
         def some(first: int) -> None:
             part = slice(first, first + POINTS_AT_A_TIME)
             for ground, turned in zip(self.grounds, grounds, strict=True):
-                row = self._rows_on(ground, self.row[part])
+                row = self._turned_rows_on(ground, self.row[part])
                 _follow(turned, row, self.t[part] / turned.side, own[part], measured, out[part])
 
-        on_cores(some, range(0, len(out), POINTS_AT_A_TIME), cores)
+        map_on_cores(some, range(0, len(out), POINTS_AT_A_TIME), cores)
         return np.append(out, 0.0)[self.number]
 
-    def _rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
+    def _turned_rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
         """Convert turned rows of the finest ground to those of another one."""
         finest, turn = self.grounds[0], self.rays.turn
         if ground is finest:
             return row
         ends = np.array([0.0, 1.0])
-        own_row, own_col = turn.origin(ends, ends, *finest.shape)
+        own_row, own_col = turn.from_turned(ends, ends, *finest.shape)
         side = 2.0**ground.detail
-        there_row, there_col = ((own_row + finest.row0 + 0.5) / side - 0.5, (own_col + finest.col0 + 0.5) / side - 0.5)
-        on, _ = turn.onto(there_row - ground.row0, there_col - ground.col0, *ground.shape)
+        coarse_row, coarse_col = ((own_row + finest.row0 + 0.5) / side - 0.5, (own_col + finest.col0 + 0.5) / side - 0.5)
+        on, _ = turn.to_turned(coarse_row - ground.row0, coarse_col - ground.col0, *ground.shape)
         return on[0] + row * (on[1] - on[0])
 
 
@@ -203,7 +204,7 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
     assert placed is not None
     window = placed.window
     rows, cols = window.height_m.shape
-    rays = rays_over(scene, window.columns.grid, window.row0 + (rows - 1) / 2, window.col0 + (cols - 1) / 2)
+    rays = rays_at(scene, window.columns.grid, window.row0 + (rows - 1) / 2, window.col0 + (cols - 1) / 2)
     windows: dict[int, list[tuple[int, int, np.ndarray]]] = {0: [(window.row0, window.col0, window.height_m)]}
     for patch in casters.casting:
         row0, col0 = patch.row * PATCH_QUADS, patch.col * PATCH_QUADS
@@ -211,17 +212,17 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
         windows.setdefault(patch.level, []).append((row0, col0, height_m))
     grounds = [_ground(rays, window.columns, detail, windows[detail]) for detail in sorted(windows)]
     number, pixel = _numbered(buffer, placed, window.height_m.size)
-    t, level_m, towards_m = rays.t_level_towards(buffer.position_frame_m, buffer.frame, pixel)
+    t, level_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixel)
     on_columns = buffer.kind.ravel()[pixel] == RELIEF
     level_m[on_columns] = np.nan
     row, col = placed.row.ravel()[pixel] + float(window.row0), placed.col.ravel()[pixel] + float(window.col0)
     row[~on_columns], col[~on_columns] = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixel[~on_columns])
-    turned_row, _ = rays.turn.onto(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
+    turned_row, _ = rays.turn.to_turned(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
     height_m = buffer.height_m.ravel()[pixel].astype(np.float64)
     return ColumnSweep(rays, grounds, number, turned_row, t, height_m, level_m, towards_m)
 
 
-def _numbered(buffer: GeometryBuffer, placed: PlacedOnColumns, cells: int) -> tuple[np.ndarray, np.ndarray]:
+def _numbered(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the number (rows, cols) of the point that each pixel shows, and a pixel, flat (n,), that shows each point.
 
     Pixels of one column, among ``cells`` columns, share a point. Each pixel that shows anything else has its own.
@@ -254,7 +255,7 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
     grid, side = columns.coarser(detail).grid, 2.0**detail
 
     def along_rays(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        row, col = rays.turn.origin(i, j, rows, cols)
+        row, col = rays.turn.from_turned(i, j, rows, cols)
         point, up = rays.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
         light, upwards = rays.light.from_earth(point), up @ rays.light.light_from_earth.T
         t, t_rise = (light[..., 0] - rays.right_m) / (rays.cell_m * side), upwards[..., 0] / (rays.cell_m * side)
@@ -262,12 +263,16 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
             t + rays.height_m * t_rise, t_rise, light[..., 1] - rays.level_m, upwards[..., 1], -light[..., 2], -upwards[..., 2],
         ])  # fmt: skip
 
-    place, lean, zero, rise, along, along_rise = _border_cubics(along_rays, turned.shape[0], turned.shape[1], grid.crs.name)
+    column_of_t, column_per_metre, level_at_zero, level_per_metre, towards_at_zero, towards_per_metre = _border_cubics(
+        along_rays, turned.shape[0], turned.shape[1], grid.crs.name
+    )
     padded = np.pad(turned, [(0, -size % BAND_CELLS) for size in turned.shape], constant_values=NO_COLUMN)
-    tops = padded.reshape(padded.shape[0] // BAND_CELLS, BAND_CELLS, -1, BAND_CELLS).max(axis=(1, 3))
-    ahead = np.concatenate([[NO_COLUMN], np.maximum.accumulate(turned.max(axis=1))]).astype(np.float32)
-    found = TurnedColumns(turned, tops, ahead, place, lean, zero, rise, rays.height_m, side)
-    return ColumnGround(detail, row0, col0, (rows, cols), found, along, along_rise)
+    block_max = padded.reshape(padded.shape[0] // BAND_CELLS, BAND_CELLS, -1, BAND_CELLS).max(axis=(1, 3))
+    max_ahead = np.concatenate([[NO_COLUMN], np.maximum.accumulate(turned.max(axis=1))]).astype(np.float32)
+    found = TurnedColumns(
+        turned, block_max, max_ahead, column_of_t, column_per_metre, level_at_zero, level_per_metre, rays.height_m, side
+    )
+    return ColumnGround(detail, row0, col0, (rows, cols), found, towards_at_zero, towards_per_metre)
 
 
 def _border_cubics(
@@ -288,14 +293,14 @@ def _border_cubics(
         raise beyond_crs_error(crs_name)
     if not (np.diff(t, axis=1) > 0.0).all():
         raise bent_rays_error(crs_name)
-    degree, along = min(3, len(j) - 1), min(3, len(i) - 1)
+    degree, row_degree = min(3, len(j) - 1), min(3, len(i) - 1)
     cubics = np.zeros((2 + len(others), len(i), 4))
     for n in range(len(i)):
-        place = np.polynomial.Polynomial.fit(t[n], j, degree)
-        per_line = [j, -t_rise[n] * place.deriv()(t[n]), *(values[n] for values in others)]
+        column_of_t = np.polynomial.Polynomial.fit(t[n], j, degree)
+        per_line = [j, -t_rise[n] * column_of_t.deriv()(t[n]), *(values[n] for values in others)]
         for found, values in zip(cubics, per_line, strict=True):
             found[n, : degree + 1] = _coefficients(t[n], values, degree)
-    whole = [make_interp_spline(i, found, k=along)(np.arange(rows + 1)) for found in cubics]
+    whole = [make_interp_spline(i, found, k=row_degree)(np.arange(rows + 1)) for found in cubics]
     checked = np.unique(np.linspace(0, rows, 4 * LATTICE).round()).astype(int)
     columns = np.linspace(-0.5, cols - 0.5, 4 * LATTICE)
     exact, *_ = along_rays(*np.meshgrid(checked - 0.5, columns, indexing="ij"))
@@ -315,12 +320,12 @@ def _coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
 def _own_levels(columns, row, t, height):
     """Return the levels (n,) of points on columns of the given heights, at turned rows."""
     out = np.empty(row.size)
-    borders = len(columns.zero)
+    borders = len(columns.level_at_zero)
     for n in range(row.size):
         b = min(max(int(np.floor(row[n] + 0.5)), 0), borders - 2)
         share = row[n] + 0.5 - b
-        low = cubic(columns.zero[b], t[n]) + height[n] * cubic(columns.rise[b], t[n])
-        high = cubic(columns.zero[b + 1], t[n]) + height[n] * cubic(columns.rise[b + 1], t[n])
+        low = cubic(columns.level_at_zero[b], t[n]) + height[n] * cubic(columns.level_per_metre[b], t[n])
+        high = cubic(columns.level_at_zero[b + 1], t[n]) + height[n] * cubic(columns.level_per_metre[b + 1], t[n])
         out[n] = low + share * (high - low)
     return out
 
@@ -339,8 +344,8 @@ def _follow(columns, row, t, level, measured, above):
 @internal
 def _on_border(columns, b, t, level):
     """Return a ray's column and height where it crosses the border before row ``b``."""
-    height = (level - cubic(columns.zero[b], t)) / cubic(columns.rise[b], t)
-    return cubic(columns.place[b], t) + (height - columns.middle) * cubic(columns.lean[b], t), height
+    height = (level - cubic(columns.level_at_zero[b], t)) / cubic(columns.level_per_metre[b], t)
+    return cubic(columns.column_of_t[b], t) + (height - columns.reference_height_m) * cubic(columns.column_per_metre[b], t), height
 
 
 @internal
@@ -361,7 +366,7 @@ def _highest_above(columns, row, t, level, measured, above):
         x1, h1 = x1 + share * (x0 - x1), h1 + share * (h0 - h1)
     while i >= 0:
         least = h1 + above + TOUCHING_M  # the height that a column must exceed
-        if columns.ahead[i + 1] <= least:
+        if columns.max_ahead[i + 1] <= least:
             return above
         if (i + 1) % BAND_CELLS == 0:
             far = i + 1 - BAND_CELLS
@@ -370,8 +375,8 @@ def _highest_above(columns, row, t, level, measured, above):
             if last < 0:
                 return above
             clear = True
-            for block in range(max(first, 0), min(last, columns.tops.shape[1] - 1) + 1):
-                clear = clear and columns.tops[i // BAND_CELLS, block] <= least
+            for block in range(max(first, 0), min(last, columns.block_max.shape[1] - 1) + 1):
+                clear = clear and columns.block_max[i // BAND_CELLS, block] <= least
             if clear:
                 i, x1, h1 = far - 1, x0, h0
                 continue

@@ -12,7 +12,7 @@ import numpy as np
 
 from skugga.shadows.sweep.lines import NO_GROUND_LEVEL, Strip, TurnedGrid, sweep_rows
 from skugga.shadows.sweep.points import StripPoints, in_strip, intervals_of, no_points, put_answers
-from skugga.terrain.compiled import compiled, in_shares, on_cores
+from skugga.terrain.compiled import compiled, map_on_cores, run_in_chunks
 from skugga.terrain.errors import UnsupportedError
 
 STRIP_CELLS = 1024
@@ -63,21 +63,21 @@ class GridOrientation:
         """Return which quads of the turned grid are cut from (i, j) to (i + 1, j + 1), from the same mask of the grid."""
         return self.turned(falls) != (self.rows_reversed != self.cols_reversed)
 
-    def onto(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+    def to_turned(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the turned grid's rows and columns at those of a grid (rows, cols); fractions and indices outside are allowed."""
         i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
         return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
 
-    def put_onto(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Do as ``onto``, but write to the input arrays: fresh memory for many points costs more than the arithmetic."""
+    def to_turned_in_place(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Do as ``to_turned``, but write to the input arrays: fresh memory for many points costs more than the arithmetic."""
         i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
         for turned, at, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
             if turned:
                 np.subtract(last, at, out=at)
         return i, j
 
-    def origin(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rows and columns of a grid (rows, cols) at those of the turned grid, the inverse of ``onto``."""
+    def from_turned(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows and columns of a grid (rows, cols) at those of the turned grid, the inverse of ``to_turned``."""
         n, m = (cols, rows) if self.swapped else (rows, cols)
         i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
         return (j, i) if self.swapped else (i, j)
@@ -86,16 +86,16 @@ class GridOrientation:
         """Return a view of a grid's values (rows, cols) in the order of the turned grid."""
         return (values.T if self.swapped else values)[self._order]
 
-    def back(self, values: np.ndarray) -> np.ndarray:
+    def restored(self, values: np.ndarray) -> np.ndarray:
         """Return a view of the turned grid's values (n, m) in the order of the grid, the inverse of ``turned``."""
         values = values[self._order]
         return values.T if self.swapped else values
 
-    def back_in_order(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
-        """Return a contiguous copy of a window of ``back``."""
-        there = self.back(values)[window]
-        out = np.empty(there.shape, there.dtype)
-        copy_into(there, out)
+    def restored_copy(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
+        """Return a contiguous copy of a window of ``restored``."""
+        view = self.restored(values)[window]
+        out = np.empty(view.shape, view.dtype)
+        copy_into(view, out)
         return out
 
     @property
@@ -140,20 +140,20 @@ class LineState:
     Attributes
     ----------
     first_cell
-        Cell of the first column of ``held``.
-    held
+        Cell of the first column of ``line_max``.
+    line_max
         float32 (lines, cells), metres: the highest level that each line has met.
     """
 
     first_cell: int
-    held: np.ndarray
+    line_max: np.ndarray
 
-    def on(self, first_cell: int, cells: int, lines: int, factor: float) -> LineState:
+    def resampled(self, first_cell: int, cells: int, lines: int, factor: float) -> LineState:
         """Return the state, interpolated between these lines, for the lines of a grid whose cells are ``factor`` times as small."""
-        flat_levels = self.held.T.ravel()
-        wanted = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.held.shape[0]
-        left = np.clip(np.floor(wanted).astype(np.int64), 0, flat_levels.size - 2)
-        share = np.clip(wanted - left, 0.0, 1.0)
+        flat_levels = self.line_max.T.ravel()
+        position = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.line_max.shape[0]
+        left = np.clip(np.floor(position).astype(np.int64), 0, flat_levels.size - 2)
+        share = np.clip(position - left, 0.0, 1.0)
         met = ((1.0 - share) * flat_levels[left] + share * flat_levels[left + 1]).astype(np.float32)
         return LineState(first_cell, np.ascontiguousarray(met.reshape(cells, lines).T))
 
@@ -177,17 +177,17 @@ def position_cubics(
     if not (np.diff(t, axis=1) > 0.0).all():  # for example a view that spans half the earth
         raise bent_rays_error(crs_name)
     columns = np.broadcast_to(j, t.shape)
-    t_cubics, column_cubics = (
+    column_of_t, t_of_column = (
         make_interp_spline(i, fitted_cubics(x, y), k=min(3, len(i) - 1))(np.arange(rows)) for x, y in ((t, columns), (columns, t))
     )
     checked_rows = np.unique(np.linspace(0, rows - 1, 4 * LATTICE).round()).astype(int)
     columns = np.linspace(0, cols - 1, 4 * LATTICE)
     exact = t_of(*np.meshgrid(checked_rows.astype(float), columns, indexing="ij"))
-    c0, c1, c2, c3 = t_cubics[checked_rows].T[..., None]
+    c0, c1, c2, c3 = column_of_t[checked_rows].T[..., None]
     fitted = c0 + exact * (c1 + exact * (c2 + exact * c3))
     if not np.abs(fitted - columns - 1.0).max() <= BENT_CELLS:  # also raises for NaN
         raise bent_rays_error(crs_name)
-    return t_cubics, column_cubics
+    return column_of_t, t_of_column
 
 
 def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -209,16 +209,18 @@ Window = tuple[tuple[int, int], tuple[int, int]]
 """The first row and the one after the last, and the same of columns."""
 
 
-def bordered(n: int, m: int, known: slice = EVERY_ROW, soon: Window = ((0, 0), (0, 0))) -> tuple[np.ndarray, np.ndarray]:
+def bordered(
+    n: int, m: int, filled_rows: slice = EVERY_ROW, window_to_fill: Window = ((0, 0), (0, 0))
+) -> tuple[np.ndarray, np.ndarray]:
     """Return a new float32 grid (n, m + 2) and its view without the border columns, to be filled in.
 
-    The rows ``known`` are NaN, except for the window ``soon``, which the caller fills in. That window and all other rows are
+    The rows ``filled_rows`` are NaN, except for the window ``window_to_fill``, which the caller fills in. That window and all other rows are
     uninitialised. A line that enters across the left border meets the NaN at its end. Lines only leave across the right border. It
     repeats the last column (``close_border``), so that the last nodes have a line on either side.
     """
     with_border = np.empty((n, m + 2), np.float32)
-    begin, end, _ = known.indices(n)
-    (top, bottom), (left, right) = soon
+    begin, end, _ = filled_rows.indices(n)
+    (top, bottom), (left, right) = window_to_fill
     with_border[begin:top] = np.nan
     with_border[top:bottom, : left + 1] = np.nan
     with_border[top:bottom, right + 1 :] = np.nan
@@ -226,9 +228,9 @@ def bordered(n: int, m: int, known: slice = EVERY_ROW, soon: Window = ((0, 0), (
     return with_border, with_border[:, 1:-1]
 
 
-def close_border(with_border: np.ndarray, known: slice = EVERY_ROW) -> np.ndarray:
-    """Fill in the right border of a grid, in the rows ``known``, and return the grid."""
-    with_border[known, -1] = with_border[known, -2]
+def close_border(with_border: np.ndarray, filled_rows: slice = EVERY_ROW) -> np.ndarray:
+    """Fill in the right border of a grid, in the rows ``filled_rows``, and return the grid."""
+    with_border[filled_rows, -1] = with_border[filled_rows, -2]
     return with_border
 
 
@@ -289,30 +291,30 @@ def sweep_nodes(
     points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
     interval = np.empty(len(points.row), np.int32)
-    in_shares(len(interval), intervals_of, points.row, n, interval)
+    run_in_chunks(len(interval), intervals_of, points.row, n, interval)
     end = max(last - 1, int(interval.max(initial=-1)) + 1)
     low, high = int(np.floor(t_range[0])), int(np.floor(t_range[1])) + 1
 
     def strip(start: int) -> None:
         stop = min(start + STRIP_CELLS, high)
         cells = stop - start + 3
-        held = (
+        line_max = (
             np.full((lines, cells), NO_GROUND_LEVEL, np.float32)
             if entry is None
-            else entry.on(start - 1, cells, lines, factor).held
+            else entry.resampled(start - 1, cells, lines, factor).line_max
         )
         number, begins, row, col, t, own = in_strip(
             points.row, points.col, points.t, points.own, interval, n, float(start), float(stop)
         )
         strip_answers = np.ones(len(number), np.bool_), np.empty(len(number), np.float32)
-        some = StripPoints(begins, row, col, t, own, points.rounding, *strip_answers)
-        its = Strip(lines, start - 1, held, no_peaks(lines, cells))
+        strip_points = StripPoints(begins, row, col, t, own, points.rounding, *strip_answers)
+        strip_state = Strip(lines, start - 1, line_max, no_peaks(lines, cells))
         before = min(max(first - 1, 0) if last > first else min(begin, int(interval.min(initial=n))), end)
-        sweep_rows(sheet, its, min(begin, before), before, NO_LEVELS, NO_MASK, some)
-        sweep_rows(sheet, its, before, end, shade, lit, some)
+        sweep_rows(sheet, strip_state, min(begin, before), before, NO_LEVELS, NO_MASK, strip_points)
+        sweep_rows(sheet, strip_state, before, end, shade, lit, strip_points)
         put_answers(number, *strip_answers, points_lit, points_above_m)
 
-    on_cores(strip, range(low, high, STRIP_CELLS), cores)
+    map_on_cores(strip, range(low, high, STRIP_CELLS), cores)
     return lit[:, 1:-1], points_lit, points_above_m
 
 
@@ -330,9 +332,9 @@ def state_after(
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
     state = LineState(low, np.full((lines, high - low), NO_GROUND_LEVEL, np.float32))
     if entry is not None:
-        state = entry.on(low, high - low, lines, factor)
+        state = entry.resampled(low, high - low, lines, factor)
     rows = len(sheet.level)
-    strip = Strip(lines, low, state.held, no_peaks(lines, high - low))
+    strip = Strip(lines, low, state.line_max, no_peaks(lines, high - low))
     sweep_rows(sheet, strip, min(begin, rows - 1), rows - 1, NO_LEVELS, NO_MASK, no_points(rows))
     return state
 
@@ -366,13 +368,13 @@ def sunlit(
         bool (rows, cols).
     """
     height_m = np.pad(height_m, 1, mode="edge")
-    turn, row_m, col_m, t_cubics, column_cubics = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    turn, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
     level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores)
     n, m = level.shape
-    sheet = TurnedGrid(level, t_cubics, column_cubics, HIGHER_DIAGONALS)
-    lit, _, _ = sweep_nodes(sheet, lines, (column_cubics[:, 0].min(), m), rows=(0, n), cores=cores)
-    return turn.back(lit)[1:-1, 1:-1]
+    sheet = TurnedGrid(level, column_of_t, t_of_column, HIGHER_DIAGONALS)
+    lit, _, _ = sweep_nodes(sheet, lines, (t_of_column[:, 0].min(), m), rows=(0, n), cores=cores)
+    return turn.restored(lit)[1:-1, 1:-1]
 
 
 def flat_grid(
@@ -388,8 +390,8 @@ def flat_grid(
     along, across = towards[::-1] if turn.swapped else towards
     n = shape[1] if turn.swapped else shape[0]
     shift, ones, zeros = np.arange(n) * abs(across / along) + 1.0, np.ones(n), np.zeros(n)
-    t_cubics, column_cubics = (np.stack([shift * sign, ones, zeros, zeros], axis=1) for sign in (1.0, -1.0))
-    return turn, row_m, col_m, t_cubics, column_cubics
+    column_of_t, t_of_column = (np.stack([shift * sign, ones, zeros, zeros], axis=1) for sign in (1.0, -1.0))
+    return turn, row_m, col_m, column_of_t, t_of_column
 
 
 def turned_levels(
@@ -398,13 +400,13 @@ def turned_levels(
     """Return float32 values (turned, bordered) that are linear in the heights, rows and columns of a grid (rows, cols)."""
     rows, cols = height.shape
     with_border, inside = bordered(*((cols, rows) if turn.swapped else (rows, cols)))
-    target = turn.back(inside)  # the same memory, in the grid's own order
+    target = turn.restored(inside)  # the same memory, in the grid's own order
 
     def band(first: int) -> None:
         rows_of_band = slice(first, first + TURN_BAND_ROWS)
         _levels(height[rows_of_band], per_height, first * per_row, per_row, per_col, target[rows_of_band])
 
-    on_cores(band, range(0, rows, TURN_BAND_ROWS), cores)
+    map_on_cores(band, range(0, rows, TURN_BAND_ROWS), cores)
     return close_border(with_border)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_levels
 from skugga.shadows.sweep.points import cubic, ground_at, is_cut
-from skugga.terrain.compiled import compiled, internal, on_cores
+from skugga.terrain.compiled import compiled, internal, map_on_cores
 
 NO_HORIZON_SLOPE = -1e30
 """Slope of a horizon without any ground: finite, not -infinity, so that it can be interpolated."""
@@ -39,7 +39,7 @@ class Section(NamedTuple):
         float32 (n, m), metres: the nodes' levels; NaN without ground.
     towards
         float32 (n, m), metres: the nodes' distances towards the sun.
-    place
+    column_of_t
         float64 (n, 4): for each row, the cubic that gives the column at t.
     falls
         How the quads are cut, as in ``skugga.shadows.sweep.lines.TurnedGrid``.
@@ -47,7 +47,7 @@ class Section(NamedTuple):
 
     level: np.ndarray
     towards: np.ndarray
-    place: np.ndarray
+    column_of_t: np.ndarray
     falls: np.ndarray
 
 
@@ -60,19 +60,19 @@ class HorizonQuery(NamedTuple):
         int64: the first point of each line in ``order``.
     order
         int64 (k,): the points sorted by line, then by row.
-    base
+    row_before
         int64 (k,): the row before each point.
-    own
+    position
         float64 (k, 2), metres: each point's level and distance towards the sun.
-    beside
+    line_tangents
         float64 (k, 2), output: the horizon's tangent on the line to the left of each point and on the next one.
     """
 
     begins: np.ndarray
     order: np.ndarray
-    base: np.ndarray
-    own: np.ndarray
-    beside: np.ndarray
+    row_before: np.ndarray
+    position: np.ndarray
+    line_tangents: np.ndarray
 
 
 def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, lines: int = 4, cores: int = 1) -> np.ndarray:
@@ -98,22 +98,22 @@ def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, line
     np.ndarray
         float64 (rows, cols), degrees: -90 where no ground lies in that direction, NaN without ground.
     """
-    turn, row_m, col_m, t_cubics, column_cubics = flat_grid(height_m.shape, cell_m, azimuth_deg)
+    turn, row_m, col_m, column_of_t, t_of_column = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)
     level = turned_levels(height_m, turn, 1.0, 0.0, 0.0, cores)
     towards = turned_levels(height_m, turn, 0.0, -np.cos(azimuth) * row_m, np.sin(azimuth) * col_m, cores)
-    section = Section(level, towards, t_cubics, HIGHER_DIAGONALS)
+    section = Section(level, towards, column_of_t, HIGHER_DIAGONALS)
     n, m = level.shape
     out = np.full((n, m), NO_HORIZON_SLOPE)
-    low, high = float(column_cubics[:, 0].min()) + 1.0, float(column_cubics[:, 0].max()) + m
+    low, high = float(t_of_column[:, 0].min()) + 1.0, float(t_of_column[:, 0].max()) + m
     for start in np.arange(np.floor(low), high + 1.0, max(STRIP_NODES // n, 1)):
-        i, j, t = _nodes_between(t_cubics, column_cubics, start, start + max(STRIP_NODES // n, 1), m)
-        out[i, j] = slopes(section, lines, i.astype(float), t, level[i, j], towards[i, j], cores)
+        i, j, t = _nodes_between(column_of_t, t_of_column, start, start + max(STRIP_NODES // n, 1), m)
+        out[i, j] = horizon_tangents(section, lines, i.astype(float), t, level[i, j], towards[i, j], cores)
     out[~np.isfinite(level)] = np.nan
-    return turn.back(np.degrees(np.arctan(out[:, 1:-1])))
+    return turn.restored(np.degrees(np.arctan(out[:, 1:-1])))
 
 
-def slopes(
+def horizon_tangents(
     section: Section,
     lines: int,
     row: np.ndarray,
@@ -127,30 +127,30 @@ def slopes(
     ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points' positions. Where a level is NaN, the ground at
     the position replaces both it and the distance towards the sun. The tangent is ``NO_HORIZON_SLOPE`` where no ground lies ahead.
     """
-    level, towards, place, falls = section
+    level, towards, column_of_t, falls = section
     if not len(row) or len(level) < 2:
         return np.full(len(row), NO_HORIZON_SLOPE)  # no row precedes a single row
-    base = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(level) - 2)
+    row_before = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(level) - 2)
     line = np.floor(t * lines).astype(np.int64)
     first, count = int(line.min()), int(np.ptp(line)) + 1
-    _, by_row = _grouped(base, len(level))
-    begins, order = _grouped(line[by_row] - first, count)
+    _, by_row = _counting_sort(row_before, len(level))
+    begins, order = _counting_sort(line[by_row] - first, count)
     order = by_row[order]
     own_positions = np.stack([own_level, own_towards], axis=1)
-    near, beside = np.full(len(row), NO_HORIZON_SLOPE), np.full((len(row), 2), NO_HORIZON_SLOPE)
-    _look_near(level, towards, place, falls, base, row, t, own_positions, near)
-    asked = HorizonQuery(begins, order, base, own_positions, beside)
+    near, line_tangents = np.full(len(row), NO_HORIZON_SLOPE), np.full((len(row), 2), NO_HORIZON_SLOPE)
+    _near_tangents(level, towards, column_of_t, falls, row_before, row, t, own_positions, near)
+    query = HorizonQuery(begins, order, row_before, own_positions, line_tangents)
 
     def strip(start: int) -> None:
-        _walk(section, lines, first, start, min(start + STRIP_LINES, count), asked)
+        _walk_lines(section, lines, first, start, min(start + STRIP_LINES, count), query)
 
-    on_cores(strip, range(0, count, STRIP_LINES), cores)
+    map_on_cores(strip, range(0, count, STRIP_LINES), cores)
     w = t * lines - line
-    return np.maximum(near, (1.0 - w) * beside[:, 0] + w * beside[:, 1])
+    return np.maximum(near, (1.0 - w) * line_tangents[:, 0] + w * line_tangents[:, 1])
 
 
 @compiled
-def _grouped(key, count):
+def _counting_sort(key, count):
     """Sort keys in [0, count) by counting.
 
     The result holds where each group of equal keys begins (count + 1,), and the indices of the keys in sorted order.
@@ -168,15 +168,15 @@ def _grouped(key, count):
 
 
 @compiled
-def _nodes_between(place, at, low, high, cols):
+def _nodes_between(column_of_t, at, low, high, cols):
     """Return turned rows, columns and t of the nodes with t in [low, high), without the first row: no row precedes it."""
-    rows = len(place)
+    rows = len(column_of_t)
     ends = np.empty((rows, 2), np.int64)
     total = 0
     for i in range(rows):
         for side in range(2):
             t = high if side else low
-            column = min(max(int(np.ceil(cubic(place[i], t))), 1), cols - 1)
+            column = min(max(int(np.ceil(cubic(column_of_t[i], t))), 1), cols - 1)
             while column > 1 and cubic(at[i], column - 1) >= t:
                 column -= 1
             while column < cols - 1 and cubic(at[i], column) < t:
@@ -193,10 +193,10 @@ def _nodes_between(place, at, low, high, cols):
 
 
 @compiled
-def _walk(section, lines, first, start, stop, asked):
+def _walk_lines(section, lines, first, start, stop, query):
     """Walk the lines from the sun on; evaluate the points to the right of each line and, up to the next line, to its left."""
-    level, towards, place, falls = section
-    begins, order, base, own, beside = asked
+    level, towards, column_of_t, falls = section
+    begins, order, row_before, position, line_tangents = query
     rows, cols = level.shape
     hull = np.empty((4 * rows, 2))  # at most four kinks a row
     for number in range(start, stop + 1):
@@ -204,39 +204,39 @@ def _walk(section, lines, first, start, stop, asked):
         size = 0
         right_of, right_end = (begins[number], begins[number + 1]) if number < stop else (0, 0)
         left_of, left_end = (begins[number - 1], begins[number]) if number > start else (0, 0)
-        x = cubic(place[0], t)
+        x = cubic(column_of_t[0], t)
         for i in range(rows - 1):
-            while right_of < right_end and base[order[right_of]] == i:
-                beside[order[right_of], 0] = _tangent(hull, size, own[order[right_of]])
+            while right_of < right_end and row_before[order[right_of]] == i:
+                line_tangents[order[right_of], 0] = _tangent(hull, size, position[order[right_of]])
                 right_of += 1
-            while left_of < left_end and base[order[left_of]] == i:
-                beside[order[left_of], 1] = _tangent(hull, size, own[order[left_of]])
+            while left_of < left_end and row_before[order[left_of]] == i:
+                line_tangents[order[left_of], 1] = _tangent(hull, size, position[order[left_of]])
                 left_of += 1
             if right_of == right_end and left_of == left_end:
                 break
-            further = cubic(place[i + 1], t)
+            further = cubic(column_of_t[i + 1], t)
             s, c = further - x, int(np.floor(x))
             f = x - c
             x = further
             if c < 0 or c + 1 >= cols:
                 continue
-            size = _put(hull, size, level, towards, i, c, i, c + 1, f)
+            size = _push_hull(hull, size, level, towards, i, c, i, c + 1, f)
             rising = (1.0 - f) / (1.0 + s)
             falling = f / (1.0 - s) if f + s <= 1.0 and s < 1.0 else np.inf
             if falling < rising and is_cut(falls, i, c, True):  # in the order of crossing
-                size = _put(hull, size, level, towards, i, c, i + 1, c + 1, falling)
+                size = _push_hull(hull, size, level, towards, i, c, i + 1, c + 1, falling)
             if is_cut(falls, i, c, False):
-                size = _put(hull, size, level, towards, i, c + 1, i + 1, c, rising)
+                size = _push_hull(hull, size, level, towards, i, c + 1, i + 1, c, rising)
             if rising <= falling <= 1.0 and is_cut(falls, i, c, True):
-                size = _put(hull, size, level, towards, i, c, i + 1, c + 1, falling)
+                size = _push_hull(hull, size, level, towards, i, c, i + 1, c + 1, falling)
             if f + s > 1.0:
-                size = _put(hull, size, level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+                size = _push_hull(hull, size, level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
                 if c + 2 < cols and is_cut(falls, i, c + 1, False):
-                    size = _put(hull, size, level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
+                    size = _push_hull(hull, size, level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
 
 
 @internal
-def _put(hull, size, level, towards, i, j, k, l, share):
+def _push_hull(hull, size, level, towards, i, j, k, l, share):
     """Push the position at a share of the way between two nodes onto the hull, and return the hull's size."""
     u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
     if not np.isfinite(u):
@@ -271,16 +271,16 @@ def _tangent(hull, size, own):
 
 
 @compiled
-def _look_near(level, towards, place, falls, base, row, t, own, near):
+def _near_tangents(level, towards, column_of_t, falls, row_before, row, t, own, near):
     """Write the slopes up to the ground between points and the row before them.
 
     Points without a level get the position of the ground below them.
     """
     cols = level.shape[1]
     for n in range(len(row)):
-        i = base[n]
-        x = cubic(place[i], t[n])
-        s = cubic(place[i + 1], t[n]) - x
+        i = row_before[n]
+        x = cubic(column_of_t[i], t[n])
+        s = cubic(column_of_t[i + 1], t[n]) - x
         c = int(np.floor(x))
         f, end = x - c, row[n] - i
         if np.isnan(own[n, 0]):
@@ -289,21 +289,21 @@ def _look_near(level, towards, place, falls, base, row, t, own, near):
         if c < 0 or c + 1 >= cols:
             continue
         end -= 1e-6  # ground within a millionth of a cell is the point itself
-        best = _steeper(NO_HORIZON_SLOPE, own[n], level, towards, i, c, i, c + 1, f)
+        best = _max_slope(NO_HORIZON_SLOPE, own[n], level, towards, i, c, i, c + 1, f)
         if is_cut(falls, i, c, False) and (1.0 - f) / (1.0 + s) < end:
-            best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
+            best = _max_slope(best, own[n], level, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))
         if f + s <= 1.0:
             if is_cut(falls, i, c, True) and f < end * (1.0 - s):
-                best = _steeper(best, own[n], level, towards, i, c, i + 1, c + 1, f / (1.0 - s))
+                best = _max_slope(best, own[n], level, towards, i, c, i + 1, c + 1, f / (1.0 - s))
         elif (1.0 - f) / s < end:
-            best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
+            best = _max_slope(best, own[n], level, towards, i, c + 1, i + 1, c + 1, (1.0 - f) / s)
             if c + 2 < cols and is_cut(falls, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
-                best = _steeper(best, own[n], level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
+                best = _max_slope(best, own[n], level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
         near[n] = best
 
 
 @internal
-def _steeper(best, own, level, towards, i, j, k, l, share):
+def _max_slope(best, own, level, towards, i, j, k, l, share):
     u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
     d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
     if not d > own[1]:

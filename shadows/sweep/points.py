@@ -8,7 +8,7 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled, internal
 
-ON_COLUMN = 1e-9
+COLUMN_TOLERANCE = 1e-9
 """Tolerance in cells within which a line runs on a column.
 
 Under suns along the axes and diagonals all lines do so, except for rounding. Without the tolerance they would meet the quads on
@@ -77,64 +77,64 @@ def in_strip(row, col, t, own, interval, rows, start, stop):
         begins[i + 1] += begins[i]
     filled, count = begins[:-1].copy(), begins[rows]
     number = np.empty(count, np.int64)
-    its_row, its_col, its_t, its_own = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    strip_row, strip_col, strip_t, strip_own = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     for n in range(t.size):
         if start <= t[n] < stop:
             k = filled[interval[n]]
             filled[interval[n]] += 1
-            number[k], its_row[k], its_col[k], its_t[k], its_own[k] = n, row[n], col[n] + 1.0, t[n], own[n]
-    return number, begins, its_row, its_col, its_t, its_own
+            number[k], strip_row[k], strip_col[k], strip_t[k], strip_own[k] = n, row[n], col[n] + 1.0, t[n], own[n]
+    return number, begins, strip_row, strip_col, strip_t, strip_own
 
 
 @compiled
-def put_answers(number, its_lit, its_above_m, lit, above_m):
+def put_answers(number, strip_lit, strip_above_m, lit, above_m):
     """Write a strip's results to the numbers of its points."""
     for k in range(number.size):
-        lit[number[k]], above_m[number[k]] = its_lit[k], its_above_m[k]
+        lit[number[k]], above_m[number[k]] = strip_lit[k], strip_above_m[k]
 
 
 @internal
-def see_points(sheet, strip, i, points):
+def evaluate_points(sheet, strip, i, points):
     """Evaluate the points in rows (i, i + 1] of a ``TurnedGrid`` while the lines of a ``Strip`` stand before row ``i``."""
-    level, place, at, falls = sheet
-    lines, first_cell, held, _ = strip
+    level, column_of_t, t_of_column, falls = sheet
+    lines, first_cell, line_max, _ = strip
     begins, row, col, t, own, rounding, lit, above_m = points
     first, last = begins[i], begins[i + 1]
     cols = level.shape[1]
     above, below = level[i], level[i + 1]
-    here, further, columns = cubic_of(place, i), cubic_of(place, i + 1), cubic_of(at, i)
+    here, further, columns = cubic_of(column_of_t, i), cubic_of(column_of_t, i + 1), cubic_of(t_of_column, i)
     for n in range(first, last):
         end, before = row[n] - i, t[n]
-        x = on_column(cubic(here, before))
-        s = on_column(cubic(further, before)) - x
+        x = snap_to_column(cubic(here, before))
+        s = snap_to_column(cubic(further, before)) - x
         if np.isnan(own[n]):  # on the ground: use the column, to stay over its own triangle
-            x = on_column(col[n] - s * end)
+            x = snap_to_column(col[n] - s * end)
             before = cubic(columns, x)
         c = int(np.floor(x))
         f = x - c
-        among = on_column(before * lines)
-        number = int(np.floor(among))
+        line_position = snap_to_column(before * lines)
+        number = int(np.floor(line_position))
         cell, k = number // lines - first_cell, number % lines
-        left = held[k, cell]
-        right = held[k + 1, cell] if k + 1 < lines else held[0, cell + 1]
-        w = among - number
+        left = line_max[k, cell]
+        right = line_max[k + 1, cell] if k + 1 < lines else line_max[0, cell + 1]
+        w = line_position - number
         highest = (1.0 - w) * left + w * right
-        itself = own[n]
-        if np.isnan(itself):
-            itself = ground_at(above, below, c, f + s * end, end, falls, i)
+        own_level = own[n]
+        if np.isnan(own_level):
+            own_level = ground_at(above, below, c, f + s * end, end, falls, i)
         if 0 <= c and c + 1 < cols:
-            highest = _higher(highest, above[c], above[c + 1], f)
+            highest = _raise_level(highest, above[c], above[c + 1], f)
             if is_cut(falls, i, c, False) and (1.0 - f) / (1.0 + s) < end:
-                highest = _higher(highest, above[c + 1], below[c], (1.0 - f) / (1.0 + s))
+                highest = _raise_level(highest, above[c + 1], below[c], (1.0 - f) / (1.0 + s))
             if f + s <= 1.0:
                 if is_cut(falls, i, c, True) and f < end * (1.0 - s):
-                    highest = _higher(highest, above[c], below[c + 1], f / (1.0 - s))
+                    highest = _raise_level(highest, above[c], below[c + 1], f / (1.0 - s))
             elif (1.0 - f) / s < end:
-                highest = _higher(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
+                highest = _raise_level(highest, above[c + 1], below[c + 1], (1.0 - f) / s)
                 if c + 2 < cols and is_cut(falls, i, c + 1, False) and (2.0 - f) / (1.0 + s) < end:
-                    highest = _higher(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
-        above_m[n] = highest - itself
-        lit[n] = not highest > itself + rounding
+                    highest = _raise_level(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
+        above_m[n] = highest - own_level
+        lit[n] = not highest > own_level + rounding
 
 
 @internal
@@ -150,14 +150,14 @@ def cubic(p, x):
 
 
 @internal
-def on_column(x):
-    """Return a column coordinate, snapped to the nearest column within ``ON_COLUMN``."""
+def snap_to_column(x):
+    """Return a column coordinate, snapped to the nearest column within ``COLUMN_TOLERANCE``."""
     column = np.rint(x)
-    return column if abs(x - column) < ON_COLUMN else x
+    return column if abs(x - column) < COLUMN_TOLERANCE else x
 
 
 @internal
-def _higher(highest, a, b, share):
+def _raise_level(highest, a, b, share):
     """Return the maximum of a level and of the level at a share of the way from ``a`` to ``b``; without ground the first."""
     value = np.float64(a)
     if share > 0.0:  # otherwise b may be NaN

@@ -21,7 +21,7 @@ from skugga.shadows.sweep.grid import (
 from skugga.shadows.sweep.lines import TurnedGrid
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.reach import PATCH_QUADS, Patch
-from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
 from skugga.terrain.geo.grid import Grid
 from skugga.terrain.geo.light_space import LightSpace
@@ -64,9 +64,9 @@ class SunRays:
         Metres of light space's right axis per unit of t; negative where columns of the turned grid run to the left.
     level_m
         Metres: light space's up coordinate at level 0.
-    rise
+    level_per_metre
         Change of the level per metre of height.
-    aside
+    columns_per_row
         Columns of the turned grid by which rays shift to the right per row, at the reference position.
     """
 
@@ -78,15 +78,15 @@ class SunRays:
     right_m: float
     cell_m: float
     level_m: float
-    rise: float
-    aside: float
+    level_per_metre: float
+    columns_per_row: float
 
-    def t_level_towards(
+    def ray_coordinates(
         self, point_frame_m: np.ndarray, frame: LocalFrame, which: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return t, levels and metres towards the sun (n,) of the points (..., 3) of a frame with flat indices ``which`` (n,)."""
         out = np.empty((3, len(which)))
-        in_shares(
+        run_in_chunks(
             len(which), _in_rays, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m, self.cell_m,
             self.level_m, out,
         )  # fmt: skip
@@ -104,11 +104,11 @@ class SunRays:
         fit_points = points[which[np.linspace(0, len(which) - 1, FITTED_POINTS).astype(int)]]
         exact = np.stack(self._exact_rows_and_columns(fit_points, frame), axis=1)
         middle, scale = fit_points.mean(axis=0), max(float(np.abs(fit_points - fit_points.mean(axis=0)).max()), 1.0)
-        known = _fitted(_cubic_terms((fit_points - middle) / scale), exact)
-        approximate = _placed(fit_points, np.arange(FITTED_POINTS), middle, scale, known)
+        factors = _fit_factors(_cubic_terms((fit_points - middle) / scale), exact)
+        approximate = _apply_fit(fit_points, np.arange(FITTED_POINTS), middle, scale, factors)
         if not np.abs(np.stack(approximate, axis=1) - exact).max() <= FITTED_NODES:
             return self._exact_rows_and_columns(points[which], frame)
-        return _placed(points, which, middle, scale, known)
+        return _apply_fit(points, which, middle, scale, factors)
 
     def _exact_rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
         x, y, _ = self.scene.world.map_position(self.grid.crs, frame.points_to_earth(point_frame_m))
@@ -117,12 +117,12 @@ class SunRays:
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Return values (rows, cols) float32 of the grid's nodes in the turned grid's order, between borders."""
         with_border, inside = bordered(*(values.shape[::-1] if self.turn.swapped else values.shape))
-        copy_into(values, self.turn.back(inside))
+        copy_into(values, self.turn.restored(inside))
         return close_border(with_border)
 
     def turned_window(self, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> Window:
         """Return the rows and columns of the turned grid that hold a window of a grid (rows, cols)."""
-        ends = self.turn.onto(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
+        ends = self.turn.to_turned(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
         (top, bottom), (left, right) = ((int(axis.min()), int(axis.max()) + 1) for axis in ends)
         return (top, bottom), (left, right)
 
@@ -131,30 +131,30 @@ class SunRays:
         grid = self.grid.coarser(detail)
 
         def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-            row, col = self.turn.origin(i, j, rows, cols)
+            row, col = self.turn.from_turned(i, j, rows, cols)
             point, up = self.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
             return (self.light.from_earth(point + self.height_m * up)[..., 0] - self.right_m) / (self.cell_m * 2**detail)
 
         return position_cubics(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)), self.grid.crs.name)
 
-    def put_levels(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
+    def write_levels(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
         """Write the levels of the nodes of windows into arrays (rows, cols) float32."""
         up = self.light.light_from_earth[1]
         self.scene.surface(self.grid.coarser(detail)).along(up, self.light.origin_earth_m + self.level_m * up, windows, out)
 
-    def put_towards(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
+    def write_towards(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
         """Write the metres towards the sun of the nodes of windows into arrays (rows, cols) float32."""
         towards = -self.light.light_from_earth[2]
         self.scene.surface(self.grid.coarser(detail)).along(towards, self.light.origin_earth_m, windows, out)
 
 
-def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
+def rays_at(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     """Return the sun's rays over a grid, with the given row and column as their reference position."""
     height_m = float(np.mean(scene.height_range_m))
     cells = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
     point, up = scene.world.ground(grid.crs, grid.x(cells[:, 1]), grid.y(cells[:, 0]))
     assert scene.light is not None
-    light = upright(scene.light, up[0])
+    light = with_upright_axes(scene.light, up[0])
     space = light.from_earth(point + height_m * up)
     per_row, per_col = (space[2] - space[1]) / 2.0, (space[4] - space[3]) / 2.0
     towards = np.array([per_col[0], -per_row[0]])  # in this direction light space's right coordinate is constant
@@ -167,15 +167,19 @@ def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     )  # fmt: skip
 
 
-def upright(light: LightSpace, up: np.ndarray) -> LightSpace:
+def with_upright_axes(light: LightSpace, up: np.ndarray) -> LightSpace:
     """Return the light space turned about the sun's direction: right is horizontal, and up does not point down, where ``up`` is up.
 
     The level's own light space has this property at its anchor only. Elsewhere higher ground would be shifted beside the rays that
     pass over its foot.
     """
     right, forward, away = light.light_from_earth
-    aside, rise = right @ up, forward @ up
-    cosine, sine = (rise, -aside) / np.hypot(aside, rise) if aside or rise else (1.0, 0.0)
+    columns_per_row, level_per_metre = right @ up, forward @ up
+    cosine, sine = (
+        (level_per_metre, -columns_per_row) / np.hypot(columns_per_row, level_per_metre)
+        if columns_per_row or level_per_metre
+        else (1.0, 0.0)
+    )
     axes = np.array([cosine * right + sine * forward, cosine * forward - sine * right, away])
     return LightSpace(axes, light.origin_earth_m, float(np.degrees(np.arcsin(np.clip(-away @ up, -1.0, 1.0)))))
 
@@ -217,22 +221,22 @@ class GroundWindow:
 
 
 def grounds_of_block(
-    rays: SunRays, block: NodeHeights, patches: Iterable[Patch], soft: bool, idle: Collection[Patch] = ()
+    rays: SunRays, block: NodeHeights, patches: Iterable[Patch], soft: bool, culled: Collection[Patch] = ()
 ) -> list[GroundWindow]:
     """Return the ground that casts shadows on a map's block, by level of detail: the coarsest first, the block's own last.
 
-    ``soft`` asks for ``towards_m``. ``idle`` patches cast no shadow on the block, and are not read.
+    ``soft`` asks for ``towards_m``. ``culled`` patches cast no shadow on the block, and are not read.
     """
     patches = [patch for patch in patches if not (patch.level and _lies_behind(rays, patch, block))]
     grounds: list[GroundWindow] = []
     for detail in sorted({0, *(patch.level for patch in patches)}, reverse=True):
         surface = rays.scene.surface(rays.grid.coarser(detail))
-        there = [patch for patch in patches if patch.level == detail]
-        before = [patch for patch in there if patch not in idle and not _lies_behind(rays, patch, block)]
-        windows = [surface.height_window(*window) for window in patch_windows(before)]
+        detail_patches = [patch for patch in patches if patch.level == detail]
+        casting = [patch for patch in detail_patches if patch not in culled and not _lies_behind(rays, patch, block)]
+        windows = [surface.height_window(*window) for window in patch_windows(casting)]
         if detail and not windows and not grounds:
             continue  # no levels to pass on
-        grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft, there))
+        grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft, detail_patches))
     return grounds
 
 
@@ -269,9 +273,9 @@ def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
     """
     side = PATCH_QUADS * 2**patch.level
     rows, cols = block.shape
-    i, j = rays.turn.onto(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
-    block_i, block_j = rays.turn.onto(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
-    lean = patch.level == 0 and rays.aside < LEAN
+    i, j = rays.turn.to_turned(np.array([0, side]) + patch.row * side, np.array([0, side]) + patch.col * side, 0, 0)
+    block_i, block_j = rays.turn.to_turned(np.array([0, rows - 1]) + block.row0, np.array([0, cols - 1]) + block.col0, 0, 0)
+    lean = patch.level == 0 and rays.columns_per_row < LEAN
     return bool(i.min() >= block_i.max() or (j.min() >= block_j.max() and not lean))
 
 
@@ -284,12 +288,12 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, frame: LocalFrame, soft: bo
     """
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape
-    rays = rays_over(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
+    rays = rays_at(scene, nodes.grid, nodes.row0 + (rows - 1) / 2, nodes.col0 + (cols - 1) / 2)
     if nodes.errors is None:
         return rays, _ground(rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))], soft)
     row, col = np.rint((drawn.grid.y0 - drawn.y) / drawn.grid.step), np.rint((drawn.x - drawn.grid.x0) / drawn.grid.step)
     corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
-    _, level_m, towards_m = rays.t_level_towards(drawn.position_frame_m, frame, np.arange(len(drawn.position_frame_m)))
+    _, level_m, towards_m = rays.ray_coordinates(drawn.position_frame_m, frame, np.arange(len(drawn.position_frame_m)))
     levels = rays.turned(_on_triangles(corner, level_m, drawn.triangles, rows, cols))
     towards = rays.turned(_on_triangles(corner, towards_m, drawn.triangles, rows, cols)) if soft else NO_LEVELS
     falls = np.pad(rays.turn.turned_cuts(_falling_quads(corner, drawn.triangles, rows, cols)), ((0, 0), (1, 1)))
@@ -310,17 +314,17 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
 
     spans = [rays.turned_window(w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
     begin = max(min((first for (first, _), _ in spans), default=rows) - 1, 0)
-    known = (0, None) if soft or detail else (begin, max(end for (_, end), _ in spans))  # no other row is read
+    filled_rows = (0, None) if soft or detail else (begin, max(end for (_, end), _ in spans))  # no other row is read
 
     def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
-        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)), slice(*known), *spans[:1])
-        own = rays.turn.back(inside)
+        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)), slice(*filled_rows), *spans[:1])
+        own = rays.turn.restored(inside)
         if windows:
             put(detail, windows, [own[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
-        return close_border(with_border, slice(*known))
+        return close_border(with_border, slice(*filled_rows))
 
-    sheet = TurnedGrid(turned(rays.put_levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
-    towards_m = turned(rays.put_towards) if soft else NO_LEVELS
+    sheet = TurnedGrid(turned(rays.write_levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
+    towards_m = turned(rays.write_towards) if soft else NO_LEVELS
     return GroundWindow(detail, row0, col0, (rows, cols), sheet, towards_m, begin)
 
 
@@ -365,7 +369,7 @@ def _cubic_terms(p: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z, x**3, x * x * y, x * y * y, y**3], axis=1)
 
 
-def _fitted(terms: np.ndarray, exact: np.ndarray) -> np.ndarray:
+def _fit_factors(terms: np.ndarray, exact: np.ndarray) -> np.ndarray:
     """Return the least-squares factors (k, 2) that map terms (n, k) to values (n, 2)."""
     q, r = np.linalg.qr(terms)
     diagonal = np.abs(np.diagonal(r))
@@ -374,25 +378,25 @@ def _fitted(terms: np.ndarray, exact: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(terms, exact, rcond=None)[0]  # coplanar points: some terms depend on one another
 
 
-def _placed(
-    points: np.ndarray, which: np.ndarray, middle: np.ndarray, scale: float, known: np.ndarray
+def _apply_fit(
+    points: np.ndarray, which: np.ndarray, middle: np.ndarray, scale: float, factors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sums of terms times factors ``known`` (13, 2), for the points (m, 3) with indices ``which`` (n,)."""
+    """Return the sums of terms times factors ``factors`` (13, 2), for the points (m, 3) with indices ``which`` (n,)."""
     out = np.empty((2, len(which)))
-    in_shares(len(which), _sum_of_terms, points, which, middle, scale, known, out)
+    run_in_chunks(len(which), _sum_of_terms, points, which, middle, scale, factors, out)
     return out[0], out[1]
 
 
 @compiled
-def _sum_of_terms(first, last, points, which, middle, scale, known, out):
+def _sum_of_terms(first, last, points, which, middle, scale, factors, out):
     for n in range(first, last):
         p = points[which[n]]
         x, y, z = (p[0] - middle[0]) / scale, (p[1] - middle[1]) / scale, (p[2] - middle[2]) / scale
         terms = (1.0, x, y, z, x * x, x * y, y * y, x * z, y * z, x * x * x, x * x * y, x * y * y, y * y * y)
         a = b = 0.0
         for k in range(13):
-            a += terms[k] * known[k, 0]
-            b += terms[k] * known[k, 1]
+            a += terms[k] * factors[k, 0]
+            b += terms[k] * factors[k, 1]
         out[0, n], out[1, n] = a, b
 
 

@@ -18,5 +18,5 @@ class SweepSettings(AlgorithmSettings):
 
 def resolve_sweep(request: SettingsRequest) -> ResolvedSettings:
     """Return the settings of the line sweep, and the reason if a requested filter has no effect: only ``sun`` has one."""
-    soft = request.sharpened.filter == "sun"
-    return SweepSettings(filter="sun" if soft else 1), request.without_filter("sweep", "sun")
+    soft = request.effective_shadows.filter == "sun"
+    return SweepSettings(filter="sun" if soft else 1), request.ignored_filter_reasons("sweep", "sun")

@@ -35,11 +35,11 @@ from skugga.shadows.passes import PassLog, PassRecord
 from skugga.shadows.sweep.columns import column_sweep
 from skugga.shadows.sweep.grid import NO_LEVELS, RAYS_BEND_REASON, GridOrientation, SweepPoints, state_after, sweep_nodes
 from skugga.shadows.sweep.lines import NO_GROUND_LEVEL
-from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_over
+from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_at
 from skugga.shadows.sweep.settings import SweepSettings, resolve_sweep
 from skugga.shadows.work import Work, Workload, is_decimated
 from skugga.terrain.casters.reach import Casters, Patch, Receivers
-from skugga.terrain.compiled import CORES, compiled, in_shares
+from skugga.terrain.compiled import CORES, compiled, run_in_chunks
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -106,20 +106,20 @@ def fill(
             return np.ones(buffer.there.shape, np.float32)
         soft = settings.filter == "sun"
         if buffer.columns is not None:
-            return _over_columns(buffer, scene, light, casters, strips_of_sun(STRIPS) if soft else np.zeros(1), log, record)
+            return _fill_columns(buffer, scene, light, casters, strips_of_sun(STRIPS) if soft else np.zeros(1), log, record)
         rays, grounds = _grounds(buffer, scene, casters, soft)
-        targets = _asked(rays, grounds[-1], buffer)
+        targets = _targets_of_buffer(rays, grounds[-1], buffer)
         log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft))
         if not soft:
-            return _seen(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
+            return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
         visibility = np.zeros(buffer.there.shape, np.float32)
         for angle in strips_of_sun(STRIPS):
-            visibility += _seen(rays, grounds, targets, settings.lines, angle)
+            visibility += _lit_mask(rays, grounds, targets, settings.lines, angle)
         return visibility / np.float32(STRIPS)
 
 
-def _over_columns(
+def _fill_columns(
     buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles: np.ndarray, log: PassLog, record: PassRecord
 ) -> np.ndarray:
     """Do as ``fill``, for a map of columns, under suns that are higher by some angles in radians."""
@@ -153,14 +153,14 @@ def fill_nodes(
     """
     (sweep_pass,) = log.named(light, kinds, PASSES)
     with log.run(sweep_pass) as record:
-        rays = rays_over(scene, nodes.view.grid, *nodes.view.centre_node)
-        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, idle=casters.idle)
-        targets = _asked_of_nodes(rays, grounds[-1], nodes)
+        rays = rays_at(scene, nodes.view.grid, *nodes.view.centre_node)
+        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, culled=casters.culled)
+        targets = _targets_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.per_pixel, LEAST_LINES)
-        lit, _, _ = _swept(grounds, targets, lines, 0.0, NO_LEVELS)
+        lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_LEVELS)
         log.keep("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
-        return rays.turn.back_in_order(lit, targets.window)
+        return rays.turn.restored_copy(lit, targets.window)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,31 +177,31 @@ class NodeClearance:
         float32 (n, m), metres: the nodes' levels.
     shade_m
         float32 (n, m), metres: the levels above which the sun is visible; about ``NO_GROUND_LEVEL`` where nothing lies on the way.
-    rise
+    level_per_metre
         Change of a level per metre of height.
     """
 
     turn: GridOrientation
     level_m: np.ndarray
     shade_m: np.ndarray
-    rise: float
+    level_per_metre: float
 
 
 def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...], lines: int) -> NodeClearance:
     """Return the levels of nodes of bare ground, and the levels above which they see the sun. Raises as ``fill_nodes``."""
-    rays = rays_over(scene, nodes.view.grid, *nodes.view.centre_node)
+    rays = rays_at(scene, nodes.view.grid, *nodes.view.centre_node)
     grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
     ground = grounds[-1]
-    targets = _asked_of_nodes(rays, ground, nodes)
+    targets = _targets_of_nodes(rays, ground, nodes)
     (first_row, last_row), (first_col, last_col) = targets.rows, targets.cols
     window = slice(first_row, last_row), slice(first_col + 1, last_col + 1)  # after the left border
     shade = np.empty(ground.sheet.level.shape, np.float32)  # only the window is written: the rest takes no memory
     shade[window] = NO_GROUND_LEVEL
-    _swept(grounds, targets, lines, 0.0, shade)
-    return NodeClearance(rays.turn, ground.sheet.level[window], shade[window], rays.rise)
+    _sweep_grounds(grounds, targets, lines, 0.0, shade)
+    return NodeClearance(rays.turn, ground.sheet.level[window], shade[window], rays.level_per_metre)
 
 
-def _bytes(grounds: list[GroundWindow], targets: _Asked, soft: bool) -> int:
+def _bytes(grounds: list[GroundWindow], targets: _Targets, soft: bool) -> int:
     sheets = sum((1 + soft) * ground.sheet.level.nbytes + ground.towards_m.nbytes for ground in grounds)
     return sheets + 33 * targets.row.size + grounds[-1].sheet.level.size
 
@@ -217,7 +217,7 @@ def strips_of_sun(count: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
+class _Targets:
     """The nodes and points that a sweep evaluates for a buffer's pixels (rows, cols).
 
     Attributes
@@ -230,7 +230,7 @@ class _Asked:
         Turned rows and columns of the nodes' window.
     window
         The same window on the grid before turning.
-    others
+    off_nodes
         bool (rows, cols): pixels that show another point.
     row, col, t
         (n,): turned positions of these points.
@@ -245,7 +245,7 @@ class _Asked:
     rows: tuple[int, int]
     cols: tuple[int, int]
     window: tuple[slice, slice]
-    others: np.ndarray
+    off_nodes: np.ndarray
     row: np.ndarray
     col: np.ndarray
     t: np.ndarray
@@ -257,9 +257,9 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
     """Return the rays over a view, and the ground that they pass, the coarsest level of detail first."""
     view = buffer.view
     if isinstance(view, MapView):
-        rays = rays_over(scene, view.grid, *view.centre_node)
+        rays = rays_at(scene, view.grid, *view.centre_node)
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface, casters.patches, soft, casters.idle)
+        return rays, grounds_of_block(rays, buffer.surface, casters.patches, soft, casters.culled)
     assert buffer.ground is not None
     rays, ground = ground_of_level(scene, buffer.ground, buffer.frame, soft)
     return rays, [ground]
@@ -281,21 +281,21 @@ def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tupl
     )
 
 
-def _asked_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> _Asked:
+def _targets_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> _Targets:
     none, shape = np.zeros(0), (nodes.view.rows, nodes.view.cols)
     every, no = (np.broadcast_to(np.bool_(value), shape) for value in (True, False))
-    return _Asked(_t_range(rays, nodes), every, *_window_of(rays, ground, nodes.view), no, none, none, none, none, none)
+    return _Targets(_t_range(rays, nodes), every, *_window_of(rays, ground, nodes.view), no, none, none, none, none, none)
 
 
-def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Asked:
+def _targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Targets:
     view = buffer.view
     on_nodes = isinstance(view, MapView) and view.on_nodes
     on_triangles = buffer.kind == RELIEF if buffer.lifted is None else (buffer.kind == RELIEF) & ~buffer.lifted
     nodes = buffer.there & on_triangles & on_nodes
-    others = buffer.there & ~nodes
+    off_nodes = buffer.there & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))
-    pixels = np.flatnonzero(others)
-    t, level_m, towards_m = rays.t_level_towards(buffer.position_frame_m, buffer.frame, pixels)
+    pixels = np.flatnonzero(off_nodes)
+    t, level_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixels)
     if isinstance(view, MapView):
         if nodes.any():
             rows, cols, window = _window_of(rays, ground, view)
@@ -305,21 +305,21 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
         row, col = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixels)
     row -= ground.row0
     col -= ground.col0
-    turned_row, turned_col = rays.turn.put_onto(row, col, *ground.shape)
-    in_shares(len(pixels), _unset, level_m, on_triangles.reshape(-1), pixels)
-    return _Asked(_t_range(rays, buffer), nodes, rows, cols, window, others, turned_row, turned_col, t, level_m, towards_m)
+    turned_row, turned_col = rays.turn.to_turned_in_place(row, col, *ground.shape)
+    run_in_chunks(len(pixels), _set_nan, level_m, on_triangles.reshape(-1), pixels)
+    return _Targets(_t_range(rays, buffer), nodes, rows, cols, window, off_nodes, turned_row, turned_col, t, level_m, towards_m)
 
 
 @compiled
-def _unset(first, last, values, mask, which):
+def _set_nan(first, last, values, mask, which):
     """Set values (n,) to NaN where a mask (m,) is true at their indices ``which`` (n,)."""
     for n in range(first, last):
         if mask[which[n]]:
             values[n] = np.nan
 
 
-def _swept(
-    grounds: list[GroundWindow], targets: _Asked, lines: int, angle: float, shade: np.ndarray
+def _sweep_grounds(
+    grounds: list[GroundWindow], targets: _Targets, lines: int, angle: float, shade: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sweep all ground for a sun that is higher by an angle in radians: see ``sweep_nodes``."""
     *coarser, ground = grounds
@@ -330,13 +330,13 @@ def _swept(
         detail = before.detail
     sheet = ground.tilted(angle)
     own_m = targets.level_m if angle == 0.0 else np.cos(angle) * targets.level_m - np.sin(angle) * targets.towards_m
-    points = SweepPoints(targets.row, targets.col, targets.t, own_m, LEVEL_ROUNDING * _highest_m(sheet.level, targets))
+    points = SweepPoints(targets.row, targets.col, targets.t, own_m, LEVEL_ROUNDING * _max_abs_level_m(sheet.level, targets))
     return sweep_nodes(
         sheet, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES, ground.begin
     )
 
 
-def _highest_m(level: np.ndarray, targets: _Asked) -> float:
+def _max_abs_level_m(level: np.ndarray, targets: _Targets) -> float:
     """Return the largest absolute level (n, m) around the points. Ground that stops a ray narrowly has a level of this size."""
     if not targets.row.size:
         return 0.0
@@ -346,27 +346,29 @@ def _highest_m(level: np.ndarray, targets: _Asked) -> float:
     return float(np.fmax.reduce(np.abs(level[i:end_i, j:end_j]), axis=None, initial=0.0))
 
 
-def _seen(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: int, angle: float) -> np.ndarray:
+def _lit_mask(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lines: int, angle: float) -> np.ndarray:
     """Return which of a buffer's points (rows, cols) see a sun that is higher by an angle in radians."""
-    lit, others_lit, _ = _swept(grounds, targets, lines, angle, NO_LEVELS)
+    lit, points_lit, _ = _sweep_grounds(grounds, targets, lines, angle, NO_LEVELS)
     sunlit = np.ones(targets.nodes.shape, np.bool_)
     if targets.nodes.any():
-        sunlit[:] = rays.turn.back(lit)[targets.window]
-    sunlit[targets.others] = others_lit
+        sunlit[:] = rays.turn.restored(lit)[targets.window]
+    sunlit[targets.off_nodes] = points_lit
     return sunlit
 
 
-def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: int, height_m: np.ndarray) -> np.ndarray:
+def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Targets, lines: int, height_m: np.ndarray) -> np.ndarray:
     """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface."""
     level = grounds[-1].sheet.level
     shade = np.full(level.shape if targets.nodes.any() else (0, 0), NO_GROUND_LEVEL, np.float32)
-    _, _, others_above_m = _swept(grounds, targets, lines, 0.0, shade)
+    _, _, points_above_m = _sweep_grounds(grounds, targets, lines, 0.0, shade)
     above_m = np.zeros(targets.nodes.shape, np.float32)
     if targets.nodes.any():
-        highest, own = (rays.turn.back(each[:, 1:-1])[targets.window] for each in (shade, level))
+        highest, own = (rays.turn.restored(each[:, 1:-1])[targets.window] for each in (shade, level))
         above_m[:] = highest - own
-    above_m[targets.others] = others_above_m
-    return height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # NaN: rounding may put a point outside of the ground
+    above_m[targets.off_nodes] = points_above_m
+    return height_m + np.fmax(above_m, 0.0) / np.float32(
+        rays.level_per_metre
+    )  # NaN: rounding may put a point outside of the ground
 
 
 def _work(task: Workload, settings: SweepSettings) -> Work:
@@ -411,7 +413,7 @@ ALGORITHM = Algorithm(
     about="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
     plural="sweep",
     fill=fill,
-    idle_casters=lambda settings: True,
+    ignores_idle_casters=lambda settings: True,
     node_fill=lambda settings: fill_nodes if settings.filter == 1 else None,
     passes=PASSES,
     refuses=REFUSES,

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.truth.truth import ALL_KINDS, Truth, truth_of
+from skugga.shadows.truth.truth import ALL_KINDS, Truth, trace_truth
+from skugga.terrain.atomic_files import atomic_path
 from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees
 from skugga.terrain.casters.rays import OFFSET_ULPS
 from skugga.terrain.casters.reach import Casters
@@ -21,8 +22,7 @@ from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 from skugga.terrain.trees.foliage import foliage
-from skugga.terrain.user_cache import arrays_kept_in, user_cache
-from skugga.terrain.whole_files import replaced_whole
+from skugga.terrain.user_cache import load_arrays, user_cache
 
 TRUTH_CACHE_BYTES = 512 * 2**20
 """Size limit of the folder. Beyond it the least recently used files are deleted."""
@@ -41,13 +41,13 @@ def cached_truth(
     samples: int,
     light: str = SUN,
     folder: Path | None = None,
-    make: Callable[..., Truth] = truth_of,
+    make: Callable[..., Truth] = trace_truth,
 ) -> Truth:
-    """Return ``truth_of``, from the disk cache if possible. A read-only folder is no error."""
+    """Return ``trace_truth``, from the disk cache if possible. A read-only folder is no error."""
     folder = folder or user_cache("truth")
     path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
     shape = buffer.there.shape
-    kept = arrays_kept_in(path)
+    kept = load_arrays(path)
     if kept is not None:
         with suppress(KeyError, ValueError):  # replace a file of another format
             found = Truth(*(np.unpackbits(kept[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELDS))
@@ -58,7 +58,7 @@ def cached_truth(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         packed: dict[str, Any] = {name: np.packbits(getattr(truth, name)) for name in _FIELDS}
-        with replaced_whole(path) as part:
+        with atomic_path(path) as part:
             np.savez_compressed(part, **packed)
         _trim(folder)
     except OSError:

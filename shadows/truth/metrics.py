@@ -35,7 +35,7 @@ _SQUARE = np.ones((3, 3), bool)
 
 
 @dataclass(frozen=True)
-class Errors:
+class ErrorMetrics:
     """Error metrics of one picture; shares in [0, 1].
 
     Attributes
@@ -54,7 +54,7 @@ class Errors:
         Share of D that is wrong and farther from truth's boundary than 2 px and two texel footprints, and the number of its
         connected parts of 8 px or more.
     interior_sees
-        Share of the true cast shadow that lies that far inside (``SeenShadow``). If all shadow were missed, ``interior`` would
+        Share of the true cast shadow that lies that far inside (``MetricCoverage``). If all shadow were missed, ``interior`` would
         count this share. Coarse texels make it small; then only ``wrong_cast`` is conclusive.
     boundary
         Share of the surface that is not decidable.
@@ -78,14 +78,14 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class SeenShadow:
+class MetricCoverage:
     """Numbers of cast shadow pixels of a picture that a metric covers, and of wrong pixels in all of the picture.
 
     Attributes
     ----------
     cast_px
         Decidable pixels in cast shadow by truth (attached shadow excluded). For an edge metric, the boundary of the cast shadow.
-    seen_px
+    covered_px
         Those of them that the metric would count if all cast shadow were missed. For an edge metric, those with a counterpart.
     wrong_px
         Decidable pixels outside of attached shadow with the wrong class.
@@ -94,14 +94,14 @@ class SeenShadow:
     """
 
     cast_px: int
-    seen_px: int
+    covered_px: int
     wrong_px: int
     either_px: int
 
     @property
-    def sees(self) -> float:
+    def covered_share(self) -> float:
         """Share of the cast shadow that the metric covers; 0 without cast shadow."""
-        return self.seen_px / self.cast_px if self.cast_px else 0.0
+        return self.covered_px / self.cast_px if self.cast_px else 0.0
 
     @property
     def wrong_cast(self) -> float:
@@ -109,42 +109,42 @@ class SeenShadow:
         return self.wrong_px / self.either_px if self.either_px else 0.0
 
 
-def sight_of(dark: np.ndarray, truth: Truth, looks_at: np.ndarray) -> SeenShadow:
+def metric_coverage(dark: np.ndarray, truth: Truth, region: np.ndarray) -> MetricCoverage:
     """Return the shadow that a metric covers which counts wrong pixels in a mask.
 
-    ``dark`` is the algorithm's class (rows, cols), True in shadow; ``looks_at`` the metric's mask (rows, cols).
+    ``dark`` is the algorithm's class (rows, cols), True in shadow; ``region`` the metric's mask (rows, cols).
     """
-    known, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.there
-    dark, cast = dark & truth.there, known & true_dark
-    counts = cast, cast & looks_at, known & (dark != true_dark), known & (dark | true_dark)
-    return SeenShadow(*(int(np.count_nonzero(each)) for each in counts))
+    comparable, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.there
+    dark, cast = dark & truth.there, comparable & true_dark
+    counts = cast, cast & region, comparable & (dark != true_dark), comparable & (dark | true_dark)
+    return MetricCoverage(*(int(np.count_nonzero(each)) for each in counts))
 
 
-def edge_sight(dark: np.ndarray, truth: Truth) -> SeenShadow:
+def edge_metric_coverage(dark: np.ndarray, truth: Truth) -> MetricCoverage:
     """Return the shadow that the edge metric covers: the boundary of the components of true shadow that ``dark`` overlaps."""
     from scipy.ndimage import label
 
-    known, true_dark = truth.there & ~truth.attached, ~truth.lit & truth.there
-    everywhere = sight_of(dark, truth, true_dark)
-    edge = boundary(true_dark, truth.there) & known
+    comparable, true_dark = truth.there & ~truth.attached, ~truth.lit & truth.there
+    whole_picture = metric_coverage(dark, truth, true_dark)
+    edge = boundary(true_dark, truth.there) & comparable
     parts, _ = label(true_dark, structure=_SQUARE)
-    met = np.unique(parts[true_dark & dark & truth.there])
-    seen = edge & np.isin(parts, met[met > 0])
-    return SeenShadow(int(edge.sum()), int(seen.sum()), everywhere.wrong_px, everywhere.either_px)
+    overlapping = np.unique(parts[true_dark & dark & truth.there])
+    seen = edge & np.isin(parts, overlapping[overlapping > 0])
+    return MetricCoverage(int(edge.sum()), int(seen.sum()), whole_picture.wrong_px, whole_picture.either_px)
 
 
-def far_inside(truth: Truth, texel_footprint_px: float | np.ndarray = 0.0) -> np.ndarray:
+def interior_region(truth: Truth, texel_footprint_px: float | np.ndarray = 0.0) -> np.ndarray:
     """Return the mask (rows, cols) of ``interior``: pixels farther from truth's boundary than 2 px and two texel footprints."""
-    return _from_edges_px(truth) > np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px)
+    return _distance_to_edges_px(truth) > np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px)
 
 
-def errors_of(
+def error_metrics(
     visibility: np.ndarray,
     truth: Truth,
     pixel_m: float,
     texel_footprint_px: float | np.ndarray = 0.0,
     true_visibility: np.ndarray | None = None,
-) -> Errors:
+) -> ErrorMetrics:
     """Return the error metrics of a visibility against truth.
 
     Parameters
@@ -170,12 +170,12 @@ def errors_of(
     wrong = decidable & (dark != true_dark)
     cast = decidable & (dark | true_dark) & ~truth.attached
     distances = edge_distances(dark, true_dark, truth.there)
-    looks_at = far_inside(truth, texel_footprint_px)
-    inside = wrong & looks_at
+    region = interior_region(truth, texel_footprint_px)
+    inside = wrong & region
     parts, count = label(inside, structure=_SQUARE)
     sizes = np.bincount(parts.ravel(), minlength=count + 1)[1:]
     mean, p95 = (float(distances.mean()), float(np.quantile(distances, 0.95))) if distances.size else (0.0, 0.0)
-    return Errors(
+    return ErrorMetrics(
         wrong=_share(wrong, decidable),
         wrong_cast=_share(wrong & ~truth.attached, cast),
         false_shadow=_share(wrong & truth.lit, decidable & truth.lit),
@@ -186,7 +186,7 @@ def errors_of(
         edge_p95_m=p95 * pixel_m,
         interior=_share(inside, decidable),
         interior_parts=int((sizes >= MIN_PART_PX).sum()),
-        interior_sees=sight_of(dark, truth, looks_at).sees,
+        interior_sees=metric_coverage(dark, truth, region).covered_share,
         boundary=truth.boundary,
         soft_error=soft_error(visibility, true_visibility),
     )
@@ -220,10 +220,10 @@ def boundary(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
 
 def interior(wrong: np.ndarray, true_dark: np.ndarray, there: np.ndarray, distance_px: float | np.ndarray) -> np.ndarray:
     """Return the mask of wrong pixels farther than a distance from truth's boundary; all of them if truth has no boundary."""
-    return wrong & (from_edges_px(true_dark, there) > distance_px)
+    return wrong & (distance_to_edges_px(true_dark, there) > distance_px)
 
 
-def from_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
+def distance_to_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
     """Return each pixel's distance (rows, cols) to the nearest pixel at either side of a shadow boundary; infinite without any."""
     from scipy.ndimage import distance_transform_edt
 
@@ -231,7 +231,7 @@ def from_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
     return distance_transform_edt(~edge) if edge.any() else np.full(dark.shape, np.inf)
 
 
-def seen_from(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def edge_test_region(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return the mask (of a shape) of pixels whose classes ``far_from_edges`` reads for pixels (n,) and distances (n,)."""
     out = np.zeros(shape, bool)
     _mark_round(row, col, distance_px, out)
@@ -239,9 +239,9 @@ def seen_from(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: 
 
 
 def far_from_edges(dark: np.ndarray, there: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
-    """Return the mask (n,) of pixels farther than distances (n,) from both sides of any shadow boundary (``from_edges_px``).
+    """Return the mask (n,) of pixels farther than distances (n,) from both sides of any shadow boundary (``distance_to_edges_px``).
 
-    It reads only the classes in the mask of ``seen_from``.
+    It reads only the classes in the mask of ``edge_test_region``.
     """
     return _far_from_edges(dark, there, row, col, distance_px)
 
@@ -287,9 +287,9 @@ def _is_edge(dark, there, i, j):
 
 
 @cached("light", 512 * MIB)
-def _from_edges_px(truth: Truth) -> np.ndarray:
-    """Return ``from_edges_px`` of a truth, cached because many pictures are compared with it."""
-    return from_edges_px(~truth.lit & truth.there, truth.there)
+def _distance_to_edges_px(truth: Truth) -> np.ndarray:
+    """Return ``distance_to_edges_px`` of a truth, cached because many pictures are compared with it."""
+    return distance_to_edges_px(~truth.lit & truth.there, truth.there)
 
 
 def block_shares(shadow_share: np.ndarray) -> np.ndarray:
@@ -301,9 +301,9 @@ def block_shares(shadow_share: np.ndarray) -> np.ndarray:
     blocks = shadow_share[:rows, :cols].reshape(
         rows // COVERAGE_BLOCK_PX, COVERAGE_BLOCK_PX, cols // COVERAGE_BLOCK_PX, COVERAGE_BLOCK_PX
     )
-    known = np.isfinite(blocks)
-    count = known.sum(axis=(1, 3))
-    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
+    valid = np.isfinite(blocks)
+    count = valid.sum(axis=(1, 3))
+    total = np.where(valid, blocks, 0.0).sum(axis=(1, 3))
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 

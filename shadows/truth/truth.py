@@ -4,7 +4,7 @@
   starts off the triangle by the offset that ``skugga.terrain.casters.rays`` derives.
 - A pixel is *decidable* if the results at one, two and four offsets, and at S stratified sub-samples of the pixel, all agree.
   Otherwise it is boundary, where no error counts.
-- If several triangles share a point, the one that faces the sun most counts (``skugga.terrain.gbuffer.shared_points``).
+- If several triangles share a point, the one that faces the sun most counts (``skugga.terrain.gbuffer.light_facing``).
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from pydantic import Field
 
 from skugga.shadows.algorithm import Algorithm, AlgorithmSettings, Cost, ResolvedSettings, SettingsRequest
 from skugga.shadows.area_light import disc_points, sun_disc
-from skugga.shadows.attached import attached, turned_away
+from skugga.shadows.attached import attached, faces_away
 from skugga.shadows.passes import PassLog
 from skugga.shadows.work import Work, Workload
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
+from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, occluding_trees
 from skugga.terrain.casters.rays import RayScene, trees_as_mesh
-from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes
-from skugga.terrain.gbuffer.picture import geometry_of, shared_nodes
+from skugga.terrain.gbuffer.light_facing import MIN_LIGHT_SINE, FacingNormals, facing_normals
 from skugga.terrain.gbuffer.resolve import FOREST
-from skugga.terrain.gbuffer.shared_points import GRAZING, FacingNormals, facing_normals
-from skugga.terrain.gbuffer.smooth_ground import on_smooth_ground
+from skugga.terrain.gbuffer.smooth_ground import move_to_smooth_ground
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer, shared_nodes
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.light_space import light_bounds
@@ -106,7 +106,7 @@ def fill(
         return area_visibility(buffer, scene, light, rays, settings.light_samples)
 
 
-def truth_of(
+def trace_truth(
     buffer: GeometryBuffer,
     scene: Scene,
     casters: Casters,
@@ -138,24 +138,24 @@ def truth_of(
         Ground nodes that the sub-samples share, if already computed (``sample_nodes``).
     """
     dark = np.zeros(buffer.there.shape, bool)
-    turned = attached(buffer, scene, light) & buffer.there
+    is_attached = attached(buffer, scene, light) & buffer.there
     if (light == SUN and not scene.sun_is_up) or not buffer.there.any():
-        return Truth(dark, turned, buffer.there.copy(), buffer.there)
+        return Truth(dark, is_attached, buffer.there.copy(), buffer.there)
     rays = rays or ray_scene(buffer, scene, casters, kinds)
-    lit = lit_from(buffer, scene, light, rays)
+    lit = lit_mask(buffer, scene, light, rays)
     decidable = buffer.there.copy()
-    for offsets in (2.0, 4.0):
-        decidable &= lit_from(buffer, scene, light, rays, offsets) == lit
+    for offset_factor in (2.0, 4.0):
+        decidable &= lit_mask(buffer, scene, light, rays, offset_factor) == lit
     nodes = nodes or sample_nodes(buffer, scene, samples)
-    for view in sub_views(buffer.view, samples):
-        sample = geometry_of(scene, view, buffer.frame, nodes=nodes)
-        decidable &= sample.there & (lit_from(sample, scene, light, rays) == lit)
-    return Truth(lit, turned, decidable, buffer.there)
+    for view in jittered_views(buffer.view, samples):
+        sample = geometry_buffer(scene, view, buffer.frame, nodes=nodes)
+        decidable &= sample.there & (lit_mask(sample, scene, light, rays) == lit)
+    return Truth(lit, is_attached, decidable, buffer.there)
 
 
 def sample_nodes(buffer: GeometryBuffer, scene: Scene, samples: int) -> MapNodes | None:
     """Return the ground nodes that the sub-samples of a map's buffer or its parts share; ``None`` if they share none."""
-    return shared_nodes(scene, sub_views(buffer.view, samples), buffer.frame)
+    return shared_nodes(scene, jittered_views(buffer.view, samples), buffer.frame)
 
 
 def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
@@ -165,21 +165,21 @@ def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayS
     without a radius is a point light.
     """
     if samples == 1 or (light != SUN and scene.lamps[light].radius_m == 0.0):
-        return lit_from(buffer, scene, light, rays).astype(np.float32)
+        return lit_mask(buffer, scene, light, rays).astype(np.float32)
     visibility = np.zeros(buffer.there.shape, np.float32)
     if light == SUN:
         assert scene.sun is not None
         for direction in sun_disc(scene.sun.in_frame(buffer.frame), samples):
-            visibility += lit_towards(buffer, rays, direction)
+            visibility += lit_mask_towards(buffer, rays, direction)
         return visibility / np.float32(samples)
-    return _ball_visibility(buffer, scene, light, rays, samples)
+    return _sphere_visibility(buffer, scene, light, rays, samples)
 
 
-def _ball_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
+def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
     """Return the visibility float32 (rows, cols) of a spherical lamp, all points of which shine into the lamp's cone."""
     lamp, source = scene.lamps[light], scene.light_position(light, buffer.frame)
     _, axis, _ = lamp.in_frame(buffer.frame)
-    buffer, visibility = on_smooth_ground(buffer, source), np.zeros(buffer.there.shape, np.float32)
+    buffer, visibility = move_to_smooth_ground(buffer, source), np.zeros(buffer.there.shape, np.float32)
     to_lamp = np.array(source[:3]) - buffer.position_frame_m
     towards = to_lamp / np.linalg.norm(to_lamp, axis=-1, keepdims=True)
     right = np.cross(towards, np.where(np.abs(towards[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
@@ -187,12 +187,12 @@ def _ball_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: Ray
     up = np.cross(right, towards)
     normals, cosine = facing_normals(buffer, source), np.cos(np.radians(lamp.cutoff_deg))
     for across, aside in lamp.radius_m * disc_points(samples):
-        way = to_lamp + across * right + aside * up
-        length = np.linalg.norm(way, axis=-1)
-        towards = (normals.normal_frame * way).sum(axis=-1)
-        facing = np.where(buffer.kind == FOREST, np.abs(towards), towards) > GRAZING * length
-        inside = buffer.there & facing & (-(way @ axis) >= cosine * length)
-        visibility += _lit_over(buffer, rays, inside, normals, way, 1.0)
+        ray = to_lamp + across * right + aside * up
+        length = np.linalg.norm(ray, axis=-1)
+        towards = (normals.normal_frame * ray).sum(axis=-1)
+        facing = np.where(buffer.kind == FOREST, np.abs(towards), towards) > MIN_LIGHT_SINE * length
+        inside = buffer.there & facing & (-(ray @ axis) >= cosine * length)
+        visibility += _unblocked_mask(buffer, rays, inside, normals, ray, 1.0)
     return visibility / np.float32(samples)
 
 
@@ -209,7 +209,7 @@ def coverage_truth(
     """Return true shadow shares of a sample of blocks, float64 (rows // block_px, cols // block_px), NaN for other blocks.
 
     At most ``blocks`` blocks with a surface are sampled, stratified over the picture. A pixel has ``samples`` (a square number)
-    regular sub-samples. ``rays`` is as in ``truth_of``.
+    regular sub-samples. ``rays`` is as in ``trace_truth``.
     """
     shape = tuple(size // block_px for size in buffer.there.shape)
     out = np.full(shape, np.nan)
@@ -229,9 +229,9 @@ def coverage_truth(
             out[i, j] = 1.0
             continue
         fine = buffer.view.part(i * block_px, j * block_px, block_px, block_px).finer(side)
-        sample = geometry_of(scene, fine, buffer.frame)
+        sample = geometry_buffer(scene, fine, buffer.frame)
         if sample.there.any():
-            out[i, j] = 1.0 - lit_from(sample, scene, light, rays)[sample.there].mean()
+            out[i, j] = 1.0 - lit_mask(sample, scene, light, rays)[sample.there].mean()
     return out
 
 
@@ -253,20 +253,20 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
     )
     part = view.part(row, col, rows, cols)
     if isinstance(part, MapView):
-        buffers = geometry_of(scene, part, buffer.frame), geometry_of(scene, _full_detail(scene, part), buffer.frame)
+        buffers = geometry_buffer(scene, part, buffer.frame), geometry_buffer(scene, _full_detail(scene, part), buffer.frame)
     elif buffer.ground is None or buffer.ground.tolerance_px == 0.0:
         return 0.0
     else:
-        buffers = geometry_of(scene, part, buffer.frame), geometry_of(scene, part, buffer.frame, UNLIMITED_TRIANGLES)
+        buffers = geometry_buffer(scene, part, buffer.frame), geometry_buffer(scene, part, buffer.frame, UNLIMITED_TRIANGLES)
     if not all(caster_buffer.there.any() for caster_buffer in buffers):
         return 0.0
     # All blocks of a map share its nodes, so the cached rays of the whole buffer serve its part, too.
     caster_buffers = (buffer if isinstance(part, MapView) else buffers[0], buffers[1])
     rays = (
-        ray_scene(caster_buffer, scene, casters if caster_buffer is buffer else casters_of(scene, caster_buffer), ALL_KINDS)
+        ray_scene(caster_buffer, scene, casters if caster_buffer is buffer else find_casters(scene, caster_buffer), ALL_KINDS)
         for caster_buffer in caster_buffers
     )
-    lit = [lit_from(caster_buffer, scene, SUN, buffer_rays) for caster_buffer, buffer_rays in zip(buffers, rays, strict=True)]
+    lit = [lit_mask(caster_buffer, scene, SUN, buffer_rays) for caster_buffer, buffer_rays in zip(buffers, rays, strict=True)]
     there = buffers[0].there & buffers[1].there
     return float((lit[0] != lit[1])[there].mean()) if there.any() else 0.0
 
@@ -292,13 +292,13 @@ def ray_scene(
     if trees is not None and scene.light is not None and not scene.lamps:
         rotation, translation = scene.light.from_frame(buffer.frame)
         low, high = light_bounds(buffer.position_frame_m, buffer.there, rotation, translation)
-        pixel_m = 2.0 * pixels_m(buffer)  # sub-samples lie beside the pixels' points
-        trees = trees_in_the_way(trees, rotation, translation, low - pixel_m, high + pixel_m)
+        pixel_m = 2.0 * max_pixel_m(buffer)  # sub-samples lie beside the pixels' points
+        trees = occluding_trees(trees, rotation, translation, low - pixel_m, high + pixel_m)
     alpha = [] if trees is None or not len(trees) else [trees_as_mesh(trees)]
     return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha, walked)
 
 
-def pixels_m(buffer: GeometryBuffer) -> float:
+def max_pixel_m(buffer: GeometryBuffer) -> float:
     """Return the largest side of a buffer's pixels on a surface that faces the viewer, metres."""
     if isinstance(buffer.view, PerspectiveView):
         eye, _ = buffer.view.in_frame(buffer.frame)
@@ -308,61 +308,65 @@ def pixels_m(buffer: GeometryBuffer) -> float:
     return float(np.nanmax(sides_m, initial=0.0))
 
 
-def lit_from(
+def lit_mask(
     buffer: GeometryBuffer,
     scene: Scene,
     light: str,
     rays: RayScene,
-    offsets: float = 1.0,
-    wanted: np.ndarray | None = None,
+    offset_factor: float = 1.0,
+    receiver_mask: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the mask (rows, cols) of a buffer's points that see a light, False off the surface and outside of ``wanted``."""
+    """Return the mask (rows, cols) of a buffer's points that see a light, False off the surface and outside of ``receiver_mask``."""
     if light == SUN:
         assert scene.sun is not None
-        return lit_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offsets, wanted)
+        return lit_mask_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offset_factor, receiver_mask)
     source = scene.light_position(light, buffer.frame)
     facing = buffer.there & ~attached(buffer, scene, light)
-    if wanted is not None:
-        facing &= wanted
-    buffer = on_smooth_ground(buffer, source)
+    if receiver_mask is not None:
+        facing &= receiver_mask
+    buffer = move_to_smooth_ground(buffer, source)
     to_light = np.array(source[:3]) - buffer.position_frame_m
-    return _lit_over(buffer, rays, facing, facing_normals(buffer, source), to_light, offsets)
+    return _unblocked_mask(buffer, rays, facing, facing_normals(buffer, source), to_light, offset_factor)
 
 
-def _lit_over(
-    buffer: GeometryBuffer, rays: RayScene, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offsets: float
+def _unblocked_mask(
+    buffer: GeometryBuffer, rays: RayScene, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_factor: float
 ) -> np.ndarray:
     """Return the mask (rows, cols) of ``facing`` points from which nothing blocks the ray ``to_light`` (rows, cols, 3)."""
     way = to_light[facing]
     length = np.linalg.norm(way, axis=-1)
     way /= length[:, None]
-    start = _lifted(buffer, facing, normals, way, offsets * rays.offset_m)
+    start = _offset_origins(buffer, facing, normals, way, offset_factor * rays.offset_m)
     out = np.zeros(buffer.there.shape, bool)
     out[facing] = ~rays.blocked(start, way, length)
     return out
 
 
-def lit_towards(
-    buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, offsets: float = 1.0, wanted: np.ndarray | None = None
+def lit_mask_towards(
+    buffer: GeometryBuffer,
+    rays: RayScene,
+    direction: np.ndarray,
+    offset_factor: float = 1.0,
+    receiver_mask: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the mask (rows, cols) of a buffer's points that see a direction (3,) of its frame.
 
-    It is False off the surface and outside of ``wanted``.
+    It is False off the surface and outside of ``receiver_mask``.
     """
     direction = np.asarray(direction, np.float64)
     source = light_position(direction, 0.0)
-    buffer = on_smooth_ground(buffer, source)
+    buffer = move_to_smooth_ground(buffer, source)
     normals = facing_normals(buffer, source)
-    facing = buffer.there & ~turned_away(normals.normal_frame, buffer.kind == FOREST, direction)
-    if wanted is not None:
-        facing &= wanted
-    start = _lifted(buffer, facing, normals, direction, offsets * rays.offset_m)
+    facing = buffer.there & ~faces_away(normals.normal_frame, buffer.kind == FOREST, direction)
+    if receiver_mask is not None:
+        facing &= receiver_mask
+    start = _offset_origins(buffer, facing, normals, direction, offset_factor * rays.offset_m)
     out = np.zeros(buffer.there.shape, bool)
     out[facing] = ~rays.blocked(start, direction)
     return out
 
 
-def _lifted(
+def _offset_origins(
     buffer: GeometryBuffer, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_m: float
 ) -> np.ndarray:
     """Return the points (n, 3) in the mask ``facing``, moved off their triangles to the light's side."""
@@ -371,7 +375,7 @@ def _lifted(
     return buffer.position_frame_m[facing] + offset_m * side * lift[facing]
 
 
-def sub_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:
+def jittered_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:
     """Return views shifted within a pixel: a random offset in each of ``samples`` (a square number) strata.
 
     Raises ``ValueError`` if ``samples`` is no square number.
@@ -387,7 +391,7 @@ def sub_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> l
 def _resolve(request: SettingsRequest) -> ResolvedSettings:
     if request.is_area:
         return TruthSettings(light_samples=SOFT_SAMPLES), []
-    return TruthSettings(), request.without_filter("truth")
+    return TruthSettings(), request.ignored_filter_reasons("truth")
 
 
 def _work(task: Workload, settings: TruthSettings) -> Work:

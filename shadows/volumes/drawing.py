@@ -22,8 +22,8 @@ import numpy as np
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes.layers import may_shade_near
 from skugga.shadows.volumes.settings import StencilSettings
-from skugga.shadows.volumes.tiles import culled, depth_bounds, marked_tiles, rectangles
-from skugga.shadows.volumes.views import SeenPoints, near_plane_m, own_points, pixels_seen, receiving, sample_points
+from skugga.shadows.volumes.tiles import cull_faces, depth_bounds, marked_tiles, rectangles
+from skugga.shadows.volumes.views import VisiblePoints, near_plane_m, own_points, pixel_points, receiver_stencil, sample_points
 from skugga.shadows.volumes.volumes import Volumes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.geo.grid import MapView
@@ -46,10 +46,10 @@ coordinates and the rasterised depth of a face that extends to infinity are each
 units in the last place off their triangles (``skugga.terrain.casters.rays``).
 """
 
-ALONG = 1e-6
+ALIGNMENT_TOLERANCE = 1e-6
 """Upper bound of the tangent of the angle between the sun and an axis or a diagonal along which it counts as aligned."""
 
-TOWARDS_EYE = 1.0 + 2.0**-10
+SILHOUETTE_DEPTH_FACTOR = 1.0 + 2.0**-10
 """Factor of the depth by which silhouettes are drawn nearer than the surfaces that they lie on."""
 
 
@@ -72,19 +72,19 @@ def count(
     if not any(len(volume_set.faces) for volume_set in volumes):
         return counts
     near_m = near_plane_m(buffer)
-    along_pixels = _along_pixels(buffer, scene, light)
+    is_sun_aligned = _is_sun_aligned(buffer, scene, light)
     for points in own_points(buffer, scene, wanted, near_m):
-        found = _counted(buffer, scene, points, light, volumes, settings, marked, record)
-        if along_pixels:
-            turned = _counted(buffer, scene, _turned_about(points), light, volumes, settings, marked, record)
-            found = np.maximum(found, turned)
-        counts.ravel()[points.at] = found
+        point_counts = _count_points(buffer, scene, points, light, volumes, settings, marked, record)
+        if is_sun_aligned:
+            turned = _count_points(buffer, scene, _turned_about(points), light, volumes, settings, marked, record)
+            point_counts = np.maximum(point_counts, turned)
+        counts.ravel()[points.at] = point_counts
     for points in sample_points(buffer, scene, wanted, near_m):
-        counts.ravel()[points.at] = _counted(buffer, scene, points, light, volumes, settings, True, record)
+        counts.ravel()[points.at] = _count_points(buffer, scene, points, light, volumes, settings, True, record)
     return counts
 
 
-def _along_pixels(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> bool:
+def _is_sun_aligned(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> bool:
     """Return whether sides of volumes may pass exactly through pixel centres.
 
     That is in a flat world's map, under a sun along the axes or the diagonals of its pixels. A rasteriser assigns such a centre to
@@ -98,17 +98,17 @@ def _along_pixels(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> bo
     steps = (view.row_step * view.grid.stretch, view.col_step) if columns is None else (columns.window.columns.grid.stretch, 1.0)
     down, right = -light[1] / steps[0], light[0] / steps[1]
     along = np.abs([down, right, down - right, down + right])
-    return bool(along.min() <= ALONG * along.max())
+    return bool(along.min() <= ALIGNMENT_TOLERANCE * along.max())
 
 
-def _turned_about(points: SeenPoints) -> SeenPoints:
+def _turned_about(points: VisiblePoints) -> VisiblePoints:
     """Return the points in the view rotated by half a turn about its axis."""
     rows, cols = points.size
     clip = points.clip_from_frame * np.array([[-1.0], [-1.0], [1.0], [1.0]])
     return replace(points, row=rows - 1 - points.row, col=cols - 1 - points.col, clip_from_frame=clip)
 
 
-def faces_before(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:
+def faces_in_front(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:
     """Return the number of faces of volumes in front of the visible surface, at most 255.
 
     The result is uint8 (rows, cols) of a view's own pixels.
@@ -116,7 +116,7 @@ def faces_before(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -
     return _drawn_over(buffer, scene, volumes, "faces")
 
 
-def silhouettes_seen(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:
+def visible_silhouettes(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:
     """Return where silhouettes are visible, uint8 (rows, cols) of a view's own pixels, 255 or 0."""
     return _drawn_over(buffer, scene, volumes, "seen")
 
@@ -126,18 +126,18 @@ def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], co
 
     gl, out = device(), np.zeros(buffer.there.shape, np.uint8)
     lines = counting == "seen"
-    for points in pixels_seen(buffer, scene, buffer.there, near_plane_m(buffer)):
+    for points in pixel_points(buffer, scene, buffer.there, near_plane_m(buffer)):
         full_rectangle = np.array([[0, 0, points.size[1], points.size[0]]])
-        with receiving(gl, buffer, scene, points, full_rectangle, False) as (target, program):
+        with receiver_stencil(gl, buffer, scene, points, full_rectangle, False) as (target, program):
             if lines:
-                nearer = points.clip_from_frame * np.array([[1.0], [1.0], [TOWARDS_EYE], [1.0]])
+                nearer = points.clip_from_frame * np.array([[1.0], [1.0], [SILHOUETTE_DEPTH_FACTOR], [1.0]])
                 program["clip_from_frame"] = tuple(nearer.T.ravel())
             for volume_set in volumes:
                 indices = volume_set.edges if lines else volume_set.faces
                 if not len(indices):
                     continue
                 with (
-                    gl.uploaded(program, volume_set.vertices, indices) as array,
+                    gl.uploaded_mesh(program, volume_set.vertices, indices) as array,
                     gl.stencil.count_pass(target, counting),
                 ):
                     gl.render(array, moderngl.LINES if lines else moderngl.TRIANGLES)
@@ -147,10 +147,10 @@ def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], co
     return out
 
 
-def _counted(
+def _count_points(
     buffer: GeometryBuffer,
     scene: Scene,
-    points: SeenPoints,
+    points: VisiblePoints,
     light: np.ndarray,
     volumes: list[Volumes],
     settings: StencilSettings,
@@ -160,26 +160,26 @@ def _counted(
     """Return the counts (n,) uint8 of some points."""
     gl, size = device(), points.size
     from_above = points.near_frame_m is None
-    clamped, away_steps = from_above and light[3] != 0.0, MAP_STEPS if from_above else 0.0
-    most = max((len(volume_set.faces) for volume_set in volumes), default=0)
-    parts = rectangles(marked_tiles(points.row, points.col, size), size, most)
+    clamped, offset_steps = from_above and light[3] != 0.0, MAP_STEPS if from_above else 0.0
+    max_faces = max((len(volume_set.faces) for volume_set in volumes), default=0)
+    parts = rectangles(marked_tiles(points.row, points.col, size), size, max_faces)
     depths = depth_bounds(points.row, points.col, points.depth, parts, size)
     total = np.zeros(len(points.at), np.uint8)
     sides: tuple[Side, ...] = ("both",) if settings.stencil == "one_pass" else ("front", "back")
-    with receiving(gl, buffer, scene, points, parts, marked) as (target, program):
+    with receiver_stencil(gl, buffer, scene, points, parts, marked) as (target, program):
         for number, volume_set in enumerate(volumes):
             if number:
                 gl.stencil.clear(target, COUNT_BITS if marked else 0xFF)
             clip = points.clip_of(volume_set.vertices.astype(np.float64))
             added = np.full(len(parts), _layers_round_the_viewer(volume_set, points, light) if clamped else 0)
-            for counting, faces in _ways(volume_set, points, light, settings):
-                visible_faces = culled(clip, faces, counting == "z_fail", parts, depths, size, clamped)
+            for counting, faces in _counting_methods(volume_set, points, light, settings):
+                visible_faces = cull_faces(clip, faces, counting == "z_fail", parts, depths, size, clamped)
                 added += visible_faces.added
                 if not len(visible_faces.faces):
                     continue
-                with gl.uploaded(program, volume_set.vertices, faces[visible_faces.faces]) as array:
+                with gl.uploaded_mesh(program, volume_set.vertices, faces[visible_faces.faces]) as array:
                     for side in sides:
-                        with gl.stencil.count_pass(target, counting, side, marked, clamped, away_steps):
+                        with gl.stencil.count_pass(target, counting, side, marked, clamped, offset_steps):
                             _render(gl, target, array, parts, visible_faces.starts)
                         record.triangles += len(visible_faces.faces)
                 record.bytes = max(record.bytes, volume_set.vertices.nbytes + 12 * len(visible_faces.faces) + 9 * size[0] * size[1])
@@ -191,7 +191,7 @@ def _counted(
     return total
 
 
-def _layers_round_the_viewer(volumes: Volumes, points: SeenPoints, lamp: np.ndarray) -> int:
+def _layers_round_the_viewer(volumes: Volumes, points: VisiblePoints, lamp: np.ndarray) -> int:
     """Return the number of volumes under a lamp that contain the viewer of a map, infinitely far away.
 
     They are the casting triangles on the line from the lamp to the viewer. The intersection is that of T. Moller and B. Trumbore,
@@ -210,7 +210,9 @@ def _layers_round_the_viewer(volumes: Volumes, points: SeenPoints, lamp: np.ndar
         return int(((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (away > 0.0)).sum())
 
 
-def _ways(volumes: Volumes, points: SeenPoints, light: np.ndarray, settings: StencilSettings) -> list[tuple[Counting, np.ndarray]]:
+def _counting_methods(
+    volumes: Volumes, points: VisiblePoints, light: np.ndarray, settings: StencilSettings
+) -> list[tuple[Counting, np.ndarray]]:
     """Return the counting methods, each with the faces (m, 3) that it counts."""
     if points.near_frame_m is None:
         return [("z_pass", volumes.faces)]

@@ -40,7 +40,7 @@ POLE_AXIS = np.array([0.4364, 0.2182, 0.8729])
 """A direction of length 1 with which rectangular buildings do not align."""
 
 
-def most_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) -> int:
+def max_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) -> int:
     """Return an upper bound of the layers of the volumes of vertices (n, 3) over any point, at most the number of caps.
 
     Directions from the light have an angle phi around an axis, rising to the left with the axis upwards. Half-circles phi = phi_k
@@ -84,7 +84,7 @@ def batches(
     """
     if most < 1:
         raise InputError("most", most, "1 or more")
-    if most_layers(points, silhouette(triangles, edges, turns), light) <= most:
+    if max_layers(points, silhouette(triangles, edges, turns), light) <= most:
         return [turns]
     part = connected_parts(edges)
     groups, halves = [], [_from_the_light(points, triangles, part, turns, homogeneous(light))]
@@ -92,7 +92,7 @@ def batches(
         candidate = halves.pop()
         group = np.zeros_like(turns)
         group[candidate] = turns[candidate]
-        if most_layers(points, silhouette(triangles, edges, group), light) <= most:
+        if max_layers(points, silhouette(triangles, edges, group), light) <= most:
             groups.append(group)
         else:
             middle = _middle(part[candidate])
@@ -229,8 +229,8 @@ def _caps_at_lower_pole(seen, caps):
         inside = True
         for k in range(3):
             a, b = seen[caps[t, k]], seen[caps[t, (k + 1) % 3]]
-            there, back = a[0] * b[1], a[1] * b[0]
-            inside &= there - back >= -1e-12 * (abs(there) + abs(back))
+            forward, backward = a[0] * b[1], a[1] * b[0]
+            inside &= forward - backward >= -1e-12 * (abs(forward) + abs(backward))
         count += inside
     return count
 

@@ -29,9 +29,9 @@ class VolumeSettings(StencilSettings, AreaSettings):
     filter: Literal[1, "sun"] = 1
 
     @property
-    def asked_as(self) -> dict[str, Any]:
+    def as_overrides(self) -> dict[str, Any]:
         """The settings as keys and values of a level's ``shadows``. Hard edges need no key."""
-        asked = super().asked_as
+        asked = super().as_overrides
         return asked if self.filter == "sun" else {key: value for key, value in asked.items() if key != "filter"}
 
 
@@ -39,7 +39,7 @@ def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
     """Return the settings of shadow volumes, and the reason for a penumbra."""
     settings = stencil_settings(request.shadows)
     if not request.is_area:
-        return VolumeSettings(**settings), request.without_filter("shadow_volume")
+        return VolumeSettings(**settings), request.ignored_filter_reasons("shadow_volume")
     reason = f"the mean of the volumes of {request.light_points} points of the light"
     return VolumeSettings(**settings, filter="sun", light_points=request.light_points), [Reasoned(name="filter sun", reason=reason)]
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.algorithm import DRAWS_IN_THE_VIEW, FEW_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
+from skugga.shadows.algorithm import BENT_MAP_REASON, FEW_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
 from skugga.shadows.area_light import mean_over_light
 from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
-from skugga.shadows.volumes.drawing import count, faces_before, silhouettes_seen
+from skugga.shadows.volumes.drawing import count, faces_in_front, visible_silhouettes
 from skugga.shadows.volumes.settings import VolumeSettings, resolve_volumes
 from skugga.shadows.volumes.volumes import volumes_of
 from skugga.shadows.volumes.work import volume_work
@@ -44,8 +44,8 @@ def fill(
     light_frame = np.array(scene.light_position(light, buffer.frame))
     with log.run(silhouettes_pass) as record:
         volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
-    log.keep("silhouettes", light, silhouettes_seen, buffer, scene, volumes)
-    log.keep("volumes", light, faces_before, buffer, scene, volumes)
+    log.keep("silhouettes", light, visible_silhouettes, buffer, scene, volumes)
+    log.keep("volumes", light, faces_in_front, buffer, scene, volumes)
     with log.run(stencil_pass) as record:
         wanted = buffer.there & ~attached(buffer, scene, light)
         counts = count(buffer, scene, light_frame, volumes, settings, wanted, False, record)
@@ -53,22 +53,22 @@ def fill(
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))
 
 
-MOST_GROUND = 2**18
+MAX_GROUND_TRIANGLES = 2**18
 """Upper bound of the triangles of ground for which volumes are a candidate.
 
 Above it they were measured to take ten to twenty times as long as a sweep, without better results (docs/accuracy.md).
 """
 
 
-def too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
+def has_too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
     """Return whether the ground has too many triangles for volumes of its edges."""
     of_kind = (each for each in descriptor.stands if each.kind == kind == "relief")
-    return sum(each.triangles + each.outside_triangles for each in of_kind) > MOST_GROUND
+    return sum(each.triangles + each.outside_triangles for each in of_kind) > MAX_GROUND_TRIANGLES
 
 
-NO_VOLUME: dict[Requirement, str] = {
+VOLUME_REFUSALS: dict[Requirement, str] = {
     "forest": "a shadow volume knows no texture: every picture of leaves would cast a full rectangle",
-    "bent map": DRAWS_IN_THE_VIEW,
+    "bent map": BENT_MAP_REASON,
 }
 """Requirements that no volume can serve, and the reasons."""
 
@@ -81,13 +81,15 @@ ALGORITHM = Algorithm(
     plural="shadow volumes",
     fill=fill,
     passes=PASSES,
-    refuses=NO_VOLUME,
+    refuses=VOLUME_REFUSALS,
     layers=("stencil", "silhouettes", "volumes"),
     settings=(VolumeSettings,),
     resolve=resolve_volumes,
     keeps=KEEPS,
     search=Search(
-        map_sizes_beside=FEW_MAP_SIZES, hopeless=too_much_ground, variants=({"stencil": "two_pass"}, {"counting": "z_fail"})
+        companion_map_sizes=FEW_MAP_SIZES,
+        is_excluded=has_too_much_ground,
+        variants=({"stencil": "two_pass"}, {"counting": "z_fail"}),
     ),
     cost=Cost(volume_work, passes={"silhouettes": "silhouettes", "counting": "stencil"}),
     mark=Mark("square", "vermilion"),

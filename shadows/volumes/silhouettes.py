@@ -35,7 +35,7 @@ import numpy as np
 from skugga.shadows.volumes.edges import Edges, signed_sums
 from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import InputError
-from skugga.terrain.ground.columns import ColumnSheet
+from skugga.terrain.ground.columns import ColumnMesh
 from skugga.terrain.ground.sheet import Sheet, sheet_triangles
 
 FacingRule = Literal["facing", "turned_away", "all"]
@@ -71,8 +71,8 @@ def homogeneous(light: np.ndarray) -> np.ndarray:
     Raises ``InputError`` for other values.
     """
     checked = np.asarray(light, np.float64)
-    sound = checked.shape == (4,) and np.isfinite(checked).all() and checked[3] in (0.0, 1.0) and checked.any()
-    if not sound:
+    is_valid = checked.shape == (4,) and np.isfinite(checked).all() and checked[3] in (0.0, 1.0) and checked.any()
+    if not is_valid:
         raise InputError("light", light, "a direction that is not zero followed by 0, or a position followed by 1")
     return checked
 
@@ -116,11 +116,11 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
     position, falls = sheet.position_frame_m, sheet.falls
     rows, cols = position.shape[:2]
     triangles = sheet_triangles(falls)
-    known = np.isfinite(position[..., 2]).ravel()[triangles].all(axis=1)
+    is_valid = np.isfinite(position[..., 2]).ravel()[triangles].all(axis=1)
     faces = facing(position, triangles, light)
-    if isinstance(sheet, ColumnSheet):  # triangles without area cast no shadow, so they count as facing the light
+    if isinstance(sheet, ColumnMesh):  # triangles without area cast no shadow, so they count as facing the light
         faces |= ~np.repeat(sheet.has_area.ravel(), 2)
-    turns = (turns_of(faces, rule) * known).reshape(*falls.shape, 2)
+    turns = (turns_of(faces, rule) * is_valid).reshape(*falls.shape, 2)
     north, south = turns[..., 0], turns[..., 1]
     sums = np.zeros((4, rows, cols), np.int8)
     to_east, to_south, to_northeast, to_southeast = sums

@@ -14,13 +14,13 @@ CULLING_TILE_PX = 8
 RECTANGLE_FACES = 4e4
 """Cost of another rectangle, in tiles times faces: with few faces, many tiles are drawn in no time."""
 
-LEAST_TILES = 8
+MIN_RECTANGLE_COST = 8
 """Lower bound of this cost, in tiles."""
 
-GROUP = 16
+GROUP_SIZE = 16
 """Number of consecutive rectangles for which faces beside all of them are culled together."""
 
-BESIDE, ACROSS, COVERS = 0, 1, 2
+OUTSIDE, PARTIAL, COVERS = 0, 1, 2
 """Positions of a triangle relative to a rectangle."""
 
 DEPTH_MARGIN = 1e-4
@@ -39,7 +39,7 @@ def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarr
     and its parts again, in two cases: the cut saves more tiles than a rectangle costs, or a side is longer than twice as many
     tiles. Within small rectangles depths vary little, and few faces matter.
     """
-    merged = _rectangles(tiles, max(RECTANGLE_FACES / max(faces, 1), LEAST_TILES)) * CULLING_TILE_PX
+    merged = _rectangles(tiles, max(RECTANGLE_FACES / max(faces, 1), MIN_RECTANGLE_COST)) * CULLING_TILE_PX
     merged[:, 2:] = np.minimum(merged[:, 2:], np.array([size[1], size[0]]) - merged[:, :2])
     return merged.astype(np.int32)
 
@@ -61,7 +61,7 @@ def depth_bounds(
 
 
 @dataclass(frozen=True, eq=False)
-class Culled:
+class CulledFaces:
     """The faces to draw in rectangles.
 
     Attributes
@@ -79,7 +79,7 @@ class Culled:
     added: np.ndarray
 
 
-def culled(
+def cull_faces(
     clip: np.ndarray,
     faces: np.ndarray,
     counts_behind: bool,
@@ -87,7 +87,7 @@ def culled(
     depths: np.ndarray,
     size: tuple[int, int],
     clamped: bool = False,
-) -> Culled:
+) -> CulledFaces:
     """Return the faces (m, 3) that matter in each rectangle, given bounds (k, 2) of its pixels' depths. Greater depths are nearer.
 
     ``clip`` (n, 4) are homogeneous clip coordinates. ``counts_behind`` says whether faces behind the pixels' points count (z-fail)
@@ -104,7 +104,7 @@ def culled(
     px = np.array([size[1], size[0]]) / 2.0
     points = np.column_stack([(clip[:, :2] + clip[:, 3:]) * px, clip[:, 3], clip[:, 2]])
     near_plane = np.inf if clamped else 1.0
-    return Culled(*_culled(points, faces, counts_behind, rectangles.astype(np.float64), depths, near_plane))
+    return CulledFaces(*_culled(points, faces, counts_behind, rectangles.astype(np.float64), depths, near_plane))
 
 
 @compiled
@@ -201,43 +201,46 @@ def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):
     m, k = len(triangles), len(rectangles)
     lines, sign = _lines(points, triangles)
     starts, added = np.zeros(k + 1, np.int64), np.zeros(k, np.int64)
-    found = np.empty(4 * m, np.int32)
+    kept_faces = np.empty(4 * m, np.int32)
     near, count = np.empty(m, np.int32), 0
-    for group in range(0, k, GROUP):
-        some = rectangles[group : group + GROUP]
-        left, top = some[:, 0].min(), some[:, 1].min()
-        right, bottom = (some[:, 0] + some[:, 2]).max(), (some[:, 1] + some[:, 3]).max()
-        here = 0
+    for group in range(0, k, GROUP_SIZE):
+        group_rectangles = rectangles[group : group + GROUP_SIZE]
+        left, top = group_rectangles[:, 0].min(), group_rectangles[:, 1].min()
+        right, bottom = (
+            (group_rectangles[:, 0] + group_rectangles[:, 2]).max(),
+            (group_rectangles[:, 1] + group_rectangles[:, 3]).max(),
+        )
+        candidate_count = 0
         for t in range(m):
-            if sign[t] != 0 and _place(lines[t], left, top, right, bottom) != BESIDE:
-                near[here] = t
-                here += 1
-        for number in range(group, min(group + GROUP, k)):
+            if sign[t] != 0 and _place(lines[t], left, top, right, bottom) != OUTSIDE:
+                near[candidate_count] = t
+                candidate_count += 1
+        for number in range(group, min(group + GROUP_SIZE, k)):
             left, top = rectangles[number, 0], rectangles[number, 1]
             right, bottom = left + rectangles[number, 2], top + rectangles[number, 3]
             # faces beyond one bound count, faces beyond the other do not; the margin is for float32
             farthest, nearest = depths[number, 0] * (1.0 - DEPTH_MARGIN), depths[number, 1] * (1.0 + DEPTH_MARGIN)
-            if count + here > len(found):
-                more = np.empty(2 * len(found) + here, np.int32)
-                more[:count] = found[:count]
-                found = more
-            for n in range(here):
+            if count + candidate_count > len(kept_faces):
+                more = np.empty(2 * len(kept_faces) + candidate_count, np.int32)
+                more[:count] = kept_faces[:count]
+                kept_faces = more
+            for n in range(candidate_count):
                 t = near[n]
                 place = _place(lines[t], left, top, right, bottom)
-                if place == BESIDE:
+                if place == OUTSIDE:
                     continue
                 low, high = _range(lines[t, 3], left, top, right, bottom)
-                behind, before = high < farthest, low > nearest
-                if before if counts_behind else behind or low > near_plane:
+                behind, is_in_front = high < farthest, low > nearest
+                if is_in_front if counts_behind else behind or low > near_plane:
                     continue
                 cut = high > near_plane * (1.0 - DEPTH_MARGIN)
-                if place == COVERS and (behind if counts_behind else before and not cut):
+                if place == COVERS and (behind if counts_behind else is_in_front and not cut):
                     added[number] += sign[t] if counts_behind else -sign[t]
                     continue
-                found[count] = t
+                kept_faces[count] = t
                 count += 1
             starts[number + 1] = count
-    return found[:count].copy(), starts, added
+    return kept_faces[:count].copy(), starts, added
 
 
 @internal
@@ -248,9 +251,9 @@ def _place(lines, left, top, right, bottom):
         low, high = _range(lines[n], left, top, right, bottom)
         slack = abs(lines[n, 0]) + abs(lines[n, 1])  # one pixel, for the rasteriser's grid
         if high < -slack:
-            return BESIDE
+            return OUTSIDE
         if low <= slack:
-            place = ACROSS
+            place = PARTIAL
     return place
 
 

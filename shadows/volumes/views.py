@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPoints:
+class VisiblePoints:
     """Some of a buffer's points, in the view in which they are drawn.
 
     Attributes
@@ -81,52 +81,52 @@ class SeenPoints:
         return np.column_stack([points[:, :3] - points[:, 3:] * self.origin_frame_m, points[:, 3]]) @ self.clip_from_frame.T
 
 
-def own_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
+def own_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
     """Yield the wanted ones of a view's own points, part by part. ``near_m`` is the distance of the near plane.
 
     Each column is drawn at the middle of its top, in a view whose pixels are the cells.
     """
     if buffer.columns is not None:
-        yield from _tops_seen(buffer, scene, wanted & (buffer.kind == RELIEF), near_m)
-        wanted = wanted & (buffer.kind != RELIEF)
-    yield from pixels_seen(buffer, scene, wanted, near_m)
+        yield from _tops_seen(buffer, scene, mask & (buffer.kind == RELIEF), near_m)
+        mask = mask & (buffer.kind != RELIEF)
+    yield from pixel_points(buffer, scene, mask, near_m)
 
 
-def pixels_seen(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
+def pixel_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
     """Yield the wanted points that lie at their pixels, part by part."""
     view = buffer.view
     for part, top, left in affine_parts(scene.world, view):
-        row, col = np.nonzero(wanted[top : top + part.rows, left : left + part.cols])
+        row, col = np.nonzero(mask[top : top + part.rows, left : left + part.cols])
         if len(row):
-            yield _seen(buffer, scene, part, near_m, row, col, (row + top) * view.cols + col + left)
+            yield _visible_points(buffer, scene, part, near_m, row, col, (row + top) * view.cols + col + left)
 
 
-def _tops_seen(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
+def _tops_seen(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
     assert buffer.columns is not None
-    window, pixels = buffer.columns.window, np.flatnonzero(wanted)
+    window, pixels = buffer.columns.window, np.flatnonzero(mask)
     row, col = buffer.columns.row.ravel()[pixels], buffer.columns.col.ravel()[pixels]
     cells = MapView(window.columns.grid, window.row0, window.col0, 1.0, 1.0, *window.height_m.shape)
     for part, top, left in affine_parts(scene.world, cells):
         inside = (row >= top) & (row < top + part.rows) & (col >= left) & (col < left + part.cols)
         if inside.any():
-            yield _seen(buffer, scene, part, near_m, row[inside] - top, col[inside] - left, pixels[inside])
+            yield _visible_points(buffer, scene, part, near_m, row[inside] - top, col[inside] - left, pixels[inside])
 
 
-def sample_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
+def sample_points(buffer: GeometryBuffer, scene: Scene, mask: np.ndarray, near_m: float) -> Iterator[VisiblePoints]:
     """Yield the wanted ones of a view's samples, if it has any."""
     view = buffer.view
     if buffer.sample_pixels is None or not isinstance(view, PerspectiveView):
         return
-    below = np.nonzero(wanted[view.rows :])
+    below = np.nonzero(mask[view.rows :])
     if len(below[0]):
         row, col = (index[below] for index in buffer.sample_pixels)
         indices = (below[0] + view.rows) * view.cols + below[1]
-        yield _seen(buffer, scene, finer_view(view), near_m, row, col, indices)
+        yield _visible_points(buffer, scene, finer_view(view), near_m, row, col, indices)
 
 
 @contextmanager
-def receiving(
-    gl: Device, buffer: GeometryBuffer, scene: Scene, points: SeenPoints, parts: np.ndarray, marked: bool
+def receiver_stencil(
+    gl: Device, buffer: GeometryBuffer, scene: Scene, points: VisiblePoints, parts: np.ndarray, marked: bool
 ) -> Iterator[tuple[Framebuffer, Program]]:
     """Provide a stencil with the depths of some points, and the program that draws volumes.
 
@@ -175,7 +175,7 @@ def _homogeneous(points: np.ndarray) -> np.ndarray:
     return out
 
 
-def _seen(
+def _visible_points(
     buffer: GeometryBuffer,
     scene: Scene,
     view: MapView | PerspectiveView,
@@ -183,7 +183,7 @@ def _seen(
     row: np.ndarray,
     col: np.ndarray,
     indices: np.ndarray,
-) -> SeenPoints:
+) -> VisiblePoints:
     points, frame = buffer.position_frame_m.reshape(-1, 3), buffer.frame
     if isinstance(view, PerspectiveView):
         origin, camera_from_frame = view.in_frame(frame)
@@ -209,7 +209,7 @@ def _seen(
         drawn |= buffer.kind.ravel()[indices] == RELIEF
     if buffer.lifted is not None:
         drawn &= ~buffer.lifted.ravel()[indices]
-    return SeenPoints((view.rows, view.cols), row, col, indices, depth, drawn, ground, clip, origin, near)
+    return VisiblePoints((view.rows, view.cols), row, col, indices, depth, drawn, ground, clip, origin, near)
 
 
 @compiled

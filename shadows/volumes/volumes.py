@@ -90,7 +90,7 @@ class Volumes:
         return self.vertices.nbytes + self.faces.nbytes
 
 
-_kept: Cache[list[Volumes]] = Cache("skugga.shadows.volumes.volumes", "light", 1024 * MIB)
+_cache: Cache[list[Volumes]] = Cache("skugga.shadows.volumes.volumes", "light", 1024 * MIB)
 
 
 def volumes_of(
@@ -107,19 +107,19 @@ def volumes_of(
     """
     volume_sets: list[Volumes] = []
     for sheet in caster_sheets(scene, buffer, casters, kinds):
-        volume_sets += _of_sheet(sheet, light_frame)
+        volume_sets += _sheet_volumes(sheet, light_frame)
     meshes: list[tuple[Mesh, int | None]] = []
     if buffer.ground is not None and "relief" in kinds:
-        of_ground = ALL_CODE if ground_has_gaps(buffer, scene) else TURNED_AWAY_CODE
-        meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), of_ground))
+        ground_rule = ALL_CODE if ground_has_gaps(buffer, scene) else TURNED_AWAY_CODE
+        meshes.append(((buffer.ground.position_frame_m, buffer.ground.triangles), ground_rule))
     if "meshes" in kinds and scene.objects.solids is not None:
         meshes.append((caster_solids(scene.objects, buffer.frame), None))
     for mesh, rule in meshes:
         key = (*mesh, tuple(light_frame), rule)
-        mesh_volumes = _kept.get(*key)
+        mesh_volumes = _cache.get(*key)
         if isinstance(mesh_volumes, Missing):
-            mesh_volumes = _of_mesh(*mesh, light_frame, rule)
-            _kept.put(*key, value=mesh_volumes)
+            mesh_volumes = _mesh_volumes(*mesh, light_frame, rule)
+            _cache.put(*key, value=mesh_volumes)
         else:
             record.kept += len(mesh_volumes)
         volume_sets += mesh_volumes
@@ -184,13 +184,13 @@ def _structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | N
     rule = np.where(closed_parts(edges) & (volume_m3[part] > 0.0), FACING_CODE, ALL_CODE).astype(np.int8)
     first, has_edge = triangles[:, :1], edges.of_triangle >= 0
     welded = np.where(has_edge[..., None], edges.ends[edges.of_triangle], first[:, None])
-    others = np.concatenate([triangles[:, 1:], welded.reshape(-1, 6)], axis=1)
-    pairs = np.broadcast_to(first, others.shape).ravel(), others.ravel()
-    graph = coo_array((np.ones(others.size, bool), pairs), (count, count))
+    neighbours = np.concatenate([triangles[:, 1:], welded.reshape(-1, 6)], axis=1)
+    pairs = np.broadcast_to(first, neighbours.shape).ravel(), neighbours.ravel()
+    graph = coo_array((np.ones(neighbours.size, bool), pairs), (count, count))
     return _Structure(edges, rule, connected_components(graph, directed=False)[1].astype(np.int32))
 
 
-def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, ground_rule: int | None) -> list[Volumes]:
+def _mesh_volumes(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, ground_rule: int | None) -> list[Volumes]:
     structure = _structure(vertices, triangles, ground_rule)
     edges, part, rule = structure.edges, structure.part_of_vertex, structure.rule
     order = np.argsort(part, kind="stable")
@@ -221,18 +221,18 @@ def _heights_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) ->
     return np.abs((normal * (lamp[:3] - a)).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
 
 
-def _of_sheet(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
+def _sheet_volumes(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
     position = sheet.position_frame_m
     there = np.isfinite(position[..., 2])
     if not there.any():
         return []
-    known = position[there]
+    valid_position = position[there]
     outline = sheet_silhouette(sheet, light, "all" if has_gaps(there) else "turned_away")
     if not len(outline.caps):
         return []
     vertices = np.nan_to_num(position.reshape(-1, 3))
     none = np.zeros(len(vertices), np.int32)
-    return [_volumes(vertices, outline, light, none, known.min(axis=0)[None], known.max(axis=0)[None])]
+    return [_volumes(vertices, outline, light, none, valid_position.min(axis=0)[None], valid_position.max(axis=0)[None])]
 
 
 def _volumes(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.shadows.area_light import times_points
+from skugga.shadows.area_light import scaled_by_points
 from skugga.shadows.volumes.settings import StencilSettings, VolumeSettings
-from skugga.shadows.volumes.tiles import CULLING_TILE_PX, LEAST_TILES, RECTANGLE_FACES
+from skugga.shadows.volumes.tiles import CULLING_TILE_PX, MIN_RECTANGLE_COST, RECTANGLE_FACES
 from skugga.shadows.work import Counts, Work, Workload
 from skugga.terrain.casters.clip_space import AFFINE_PART_PX
 from skugga.terrain.casters.reach import PATCH_QUADS
@@ -25,7 +25,7 @@ SHEET_TRIANGLES = 2 * PATCH_QUADS**2
 def volume_work(task: Workload, settings: VolumeSettings) -> Work:
     """Return the work of shadow volumes over the whole picture."""
     counts = {task.by_view("silhouettes"): silhouette_counts(task), task.by_view("counting"): stencil_counts(task, settings)}
-    return times_points(counts, settings.light_points) if settings.filter == "sun" else counts
+    return scaled_by_points(counts, settings.light_points) if settings.filter == "sun" else counts
 
 
 def silhouette_counts(task: Workload) -> Counts:
@@ -45,7 +45,7 @@ def volume_faces(task: Workload) -> tuple[float, float, float]:
     ends = 1.0 if task.light == SUN else 2.0
     closed = getattr(task.caster_facts("meshes"), "closed_share", 0.0)
     caps = task.triangles("meshes") * (1.0 - closed / 2.0)
-    ground = (task.triangles("relief") + task.outside_triangles) * task.turned_away
+    ground = (task.triangles("relief") + task.outside_triangles) * task.facing_away_share
     return ends * _mesh_edges(task), ends * caps, ends * ground
 
 
@@ -57,7 +57,7 @@ def stencil_counts(task: Workload, settings: StencilSettings, marked: float | No
     """
     edges, caps, ground = volume_faces(task)
     faces = edges + caps + ground
-    rectangle_tiles = (2.0 * max(RECTANGLE_FACES / max(faces, 1.0), LEAST_TILES)) ** 2
+    rectangle_tiles = (2.0 * max(RECTANGLE_FACES / max(faces, 1.0), MIN_RECTANGLE_COST)) ** 2
     rectangles = max(task.pixels / CULLING_TILE_PX**2 / rectangle_tiles, 1.0)
     sides = 2.0 if settings.stencil == "two_pass" else 1.0
     drawn = edges * np.sqrt(rectangles) + caps + ground

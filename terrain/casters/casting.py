@@ -51,7 +51,7 @@ def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind,
     return meshes
 
 
-def anything_casts(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> bool:
+def has_casters(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> bool:
     """Return whether something of the given kinds can cast a shadow on a buffer's points."""
     ground = "relief" in kinds and any(part is not None for part in (buffer.surface, buffer.columns, buffer.ground))
     return ground or ("meshes" in kinds and scene.objects.solids is not None) or caster_trees(buffer, kinds) is not None
@@ -62,12 +62,12 @@ def caster_trees(buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> TreeI
     return buffer.tree_instances if "forest" in kinds else None
 
 
-def trees_in_the_way(
+def occluding_trees(
     instances: TreeInstances, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> TreeInstances:
     """Return the trees that intersect light-space bounds (3,) or lie between these and the sun."""
-    before = np.array([low[0], low[1], -np.inf])
-    return instances.some(instances.reaching(rotation, translation, before, high))
+    min_bound = np.array([low[0], low[1], -np.inf])
+    return instances.select(instances.in_box(rotation, translation, min_bound, high))
 
 
 @cached("scene", 64 * MIB)

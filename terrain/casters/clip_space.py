@@ -81,11 +81,11 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
     if scene.world.flat:
         return 0.0
     row, col, _ = overview_on_grid(scene.world, scene.elevation, grid)
-    known = np.isfinite(row) & np.isfinite(col)
+    valid = np.isfinite(row) & np.isfinite(col)
     worst = 0.0
-    for share in ((0.5, 0.5), (0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)) if known.any() else ():
+    for share in ((0.5, 0.5), (0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)) if valid.any() else ():
         middle = [low + part * (high - low) for part, low, high in
-                  ((part, v[known].min(), v[known].max()) for part, v in zip(share, (row, col), strict=True))]  # fmt: skip
+                  ((part, v[valid].min(), v[valid].max()) for part, v in zip(share, (row, col), strict=True))]  # fmt: skip
         half = (AFFINE_PART_PX - 1) / 2.0
         view = MapView(
             grid, middle[0] - half * row_step, middle[1] - half * col_step, row_step, col_step, AFFINE_PART_PX, AFFINE_PART_PX

@@ -26,7 +26,7 @@ class FineCells:
         float64 (n,), rows, columns and half extents on a grid, in nodes.
     light_m
         float64 (n, 3), the cells' centres at their highest ground, in light space, metres.
-    wide_m
+    width_m
         The width of a cell, metres.
     """
 
@@ -34,40 +34,40 @@ class FineCells:
     col: np.ndarray
     half: np.ndarray
     light_m: np.ndarray
-    wide_m: float
+    width_m: float
 
 
 def fine_cells(
     scene: Scene,
     light: LightSpace,
     grid: Grid,
-    of: np.ndarray,
-    above: tuple[np.ndarray, np.ndarray],
+    parents: np.ndarray,
+    parent_extent: tuple[np.ndarray, np.ndarray],
     period: float | None,
 ) -> FineCells | None:
-    """Return the finer cells of the overview's cells that the mask ``of`` (rows, cols) selects.
+    """Return the finer cells of the overview's cells that the mask ``parents`` (rows, cols) selects.
 
-    ``above`` holds columns and half extents (n,) of the selected cells. Columns repeat after ``period``. ``None`` if the level
+    ``parent_extent`` holds columns and half extents (n,) of the selected cells. Columns repeat after ``period``. ``None`` if the level
     has no finer cells.
     """
     overview, elevation = scene.elevation.overview, scene.elevation
     if overview.fine_high_m is None:
         return None
-    per = 2 ** (overview.level - overview.fine_level)
-    parent_row, parent_col = np.nonzero(of)
-    down, right = (v.ravel() for v in np.mgrid[:per, :per])
-    i, j = (parent_row[:, None] * per + down).ravel(), (parent_col[:, None] * per + right).ravel()
+    ratio = 2 ** (overview.level - overview.fine_level)
+    parent_row, parent_col = np.nonzero(parents)
+    down, right = (v.ravel() for v in np.mgrid[:ratio, :ratio])
+    i, j = (parent_row[:, None] * ratio + down).ravel(), (parent_col[:, None] * ratio + right).ravel()
     high = overview.fine_high_m[i, j]
-    known = np.isfinite(high)
+    valid = np.isfinite(high)
     factor = 2**overview.fine_level
-    x, y = elevation.xy((i[known] + 0.5) * factor - 0.5, (j[known] + 0.5) * factor - 0.5)
+    x, y = elevation.xy((i[valid] + 0.5) * factor - 0.5, (j[valid] + 0.5) * factor - 0.5)
     point, up = scene.world.ground(elevation.crs, x, y)
     if grid.crs != elevation.crs:
         x, y = transformer(elevation.crs, grid.crs).transform(x, y)
-    col_above, half_above = (np.repeat(v, per * per)[known] for v in above)
+    col_above, half_above = (np.repeat(v, ratio * ratio)[valid] for v in parent_extent)
     row, col = np.asarray(grid.row(y)), np.asarray(grid.col(x))
     if period is not None:
         col = col + period * np.rint((col_above - col) / period)
     cell_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
-    light_m = light.from_earth(point + up * high[known, None])
-    return FineCells(row, col, (half_above - 1.0) / per + 1.0, light_m, cell_m)
+    light_m = light.from_earth(point + up * high[valid, None])
+    return FineCells(row, col, (half_above - 1.0) / ratio + 1.0, light_m, cell_m)

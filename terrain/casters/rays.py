@@ -103,16 +103,16 @@ class RayScene:
         self._alpha_meshes = tuple(alpha)
         vertices = [sheet.position_frame_m for sheet in ground] + [part for part, _ in solids]
         vertices += [mesh.vertices_m for mesh in self._alpha_meshes]
-        low, high = bounds_of(vertices)
+        low, high = bounding_box(vertices)
         self._centre = (low + high) / 2
         self.offset_m = float(OFFSET_ULPS * 2.0**-24 * max(np.abs(high - low).max() / 2, 1.0))
-        self._walked = SheetRays(ground, self._centre) if walked and ground else None
+        self._sheet_rays = SheetRays(ground, self._centre) if walked and ground else None
         parts = [] if walked else [(sheet.position_frame_m.reshape(-1, 3), sheet.triangles) for sheet in ground]
         opaque = [(part, triangles) for part, triangles in parts + solids if len(triangles)]
         self._opaque = self._embree(opaque) if opaque else None
         triangles = sum(len(each) for _, each in opaque) + sum(len(mesh.triangles) for mesh in self._alpha_meshes)
         self.nbytes = TRIANGLE_BYTES * triangles + bytes_of(self._alpha_meshes)
-        self.nbytes += 0 if self._walked is None else self._walked.nbytes
+        self.nbytes += 0 if self._sheet_rays is None else self._sheet_rays.nbytes
         self._alpha = [self._embree([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 
     def _embree(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> Any:
@@ -134,53 +134,53 @@ class RayScene:
         ``length_m`` (n,) limits the rays' lengths; ``None`` means no limit. Raises ``ValueError`` where sheets are traced
         directly and rays have several directions or a length.
         """
-        if self._walked is not None and (np.ndim(direction) > 1 or length_m is not None):
+        if self._sheet_rays is not None and (np.ndim(direction) > 1 or length_m is not None):
             raise ValueError(f"direction: walked sheets take (3,) and no lengths, not {np.shape(direction)}. Pass walked=False.")
         start = (start_m - self._centre).astype(np.float32)
         along = np.ascontiguousarray(np.broadcast_to(np.asarray(direction, np.float32), start.shape))
         stopped = np.zeros(len(start), bool)
         if not len(start):
             return stopped
-        if self._walked is not None:
-            stopped |= self._walked.blocked(start_m, direction)
+        if self._sheet_rays is not None:
+            stopped |= self._sheet_rays.blocked(start_m, direction)
         if self._opaque is not None:
             within = {} if length_m is None else {"dists": length_m.astype(np.float32)}
             stopped |= self._opaque.run(start, along, query="OCCLUDED", **within) != -1
         for mesh, scene in zip(self._alpha_meshes, self._alpha, strict=True):
-            going = np.flatnonzero(~stopped)
-            length = np.full(len(going), np.inf) if length_m is None else length_m[going]
-            stopped[going] = self._blocked_by_alpha(mesh, scene, start[going], along[going], length)
+            active = np.flatnonzero(~stopped)
+            length = np.full(len(active), np.inf) if length_m is None else length_m[active]
+            stopped[active] = self._blocked_by_alpha(mesh, scene, start[active], along[active], length)
         return stopped
 
     def _blocked_by_alpha(
         self, mesh: AlphaMesh, scene: Any, start: np.ndarray, along: np.ndarray, length: np.ndarray
     ) -> np.ndarray:
         stopped = np.zeros(len(start), bool)
-        going, start, left = np.arange(len(start)), start.copy(), length.astype(np.float64)
+        active, start, remaining = np.arange(len(start)), start.copy(), length.astype(np.float64)
         for _ in range(MAX_LAYERS):
-            if not len(going):
+            if not len(active):
                 return stopped
-            hit = scene.run(start[going], along[going], query="INTERSECT", output=True)
-            met = (hit["primID"] != -1) & (hit["tfar"] < left[going])
-            going = going[met]
-            u, v, corners = hit["u"][met], hit["v"][met], mesh.triangles[hit["primID"][met]]
+            hit = scene.run(start[active], along[active], query="INTERSECT", output=True)
+            hits = (hit["primID"] != -1) & (hit["tfar"] < remaining[active])
+            active = active[hits]
+            u, v, corners = hit["u"][hits], hit["v"][hits], mesh.triangles[hit["primID"][hits]]
             uv = (
                 (1 - u - v)[:, None] * mesh.uv[corners[:, 0]]
                 + u[:, None] * mesh.uv[corners[:, 1]]
                 + v[:, None] * mesh.uv[corners[:, 2]]
             )
-            layer = None if mesh.layer is None else mesh.layer[hit["primID"][met]]
+            layer = None if mesh.layer is None else mesh.layer[hit["primID"][hits]]
             opaque = sample_alpha(mesh.alpha, uv, layer) >= mesh.threshold
-            stopped[going[opaque]] = True
-            past = hit["tfar"][met] + self.offset_m
-            start[going] += (past[:, None] * along[going]).astype(np.float32)
-            left[going] -= past
-            going = going[~opaque]
-        stopped[going] = True
+            stopped[active[opaque]] = True
+            advance = hit["tfar"][hits] + self.offset_m
+            start[active] += (advance[:, None] * along[active]).astype(np.float32)
+            remaining[active] -= advance
+            active = active[~opaque]
+        stopped[active] = True
         return stopped
 
 
-def bounds_of(vertices: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def bounding_box(vertices: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return minimum and maximum coordinates (3,) of the finite points (..., 3); 0 without points."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for points in vertices:

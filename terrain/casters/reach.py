@@ -36,7 +36,7 @@ from skugga.terrain.geo.world import (
     is_longitude_latitude,
     transformer,
 )
-from skugga.terrain.ground.columns import ColumnWindow, PlacedOnColumns
+from skugga.terrain.ground.columns import ColumnIndices, ColumnWindow
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.scene import Scene
@@ -49,7 +49,7 @@ FULL_DETAIL_NODES = 4096
 detail, and so on.
 """
 
-NODES_A_CELL, LEAST_DETAIL_NODES = 16, 2 * PATCH_QUADS
+NODES_PER_CELL, LEAST_DETAIL_NODES = 16, 2 * PATCH_QUADS
 """Grid nodes per side of a raster cell above which full detail ends sooner, in proportion, and the minimum distance in nodes at
 which it ends. Denser nodes show the raster's bilinear ground and nothing new. Otherwise maps of centimetres would read millions
 of patches.
@@ -107,7 +107,7 @@ def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True, 
     return float(radius_m * (np.sqrt(slope**2 + 2.0 * relief_m / radius_m) - slope))
 
 
-STARTS = 64
+RAY_STARTS = 64
 """Approximate number of points of a perspective view from which rays to the sun are followed to the end of the data."""
 
 
@@ -133,7 +133,7 @@ class Receivers(Protocol):
     def surface(self) -> NodeHeights | None: ...
 
     @property
-    def columns(self) -> PlacedOnColumns | None: ...
+    def columns(self) -> ColumnIndices | None: ...
 
 
 @dataclass(frozen=True)
@@ -146,52 +146,52 @@ class Casters:
         Patches of this ground.
     reach
         The distance within which they were searched.
-    idle
-        Patches that provably cast no shadow on the block (``skugga.terrain.casters.horizon_bound``).
+    culled
+        Patches that provably cast no shadow on the block (``skugga.terrain.casters.caster_culling``).
     """
 
     patches: tuple[Patch, ...]
     reach: Reach
-    idle: frozenset[Patch] = frozenset()
+    culled: frozenset[Patch] = frozenset()
 
     @property
     def casting(self) -> tuple[Patch, ...]:
         """The patches that may cast a shadow on the block."""
-        return tuple(patch for patch in self.patches if patch not in self.idle)
+        return tuple(patch for patch in self.patches if patch not in self.culled)
 
 
 NO_CASTERS = Casters((), Reach(0.0, 0.0, False))
 
 
-def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
+def find_casters(scene: Scene, buffer: GeometryBuffer) -> Casters:
     """Return the ground outside a map's block that can shade it, and the reach.
 
     In perspective all ground is in the buffer already.
     """
     if not isinstance(buffer.view, MapView):
-        return Casters((), reach_of(scene, buffer))
+        return Casters((), find_reach(scene, buffer))
     towards_lamps = _lamp_patches(scene, buffer) if buffer.there.any() else ()
     if not _sun_shines(scene, buffer):
         return Casters(towards_lamps, NO_CASTERS.reach)
-    patches, known_m = _patches(scene, buffer)
-    return Casters(tuple(dict.fromkeys((*patches, *towards_lamps))), _reach(scene, buffer, known_m))
+    patches, caster_m = _patches(scene, buffer)
+    return Casters(tuple(dict.fromkeys((*patches, *towards_lamps))), _reach(scene, buffer, caster_m))
 
 
-def reach_of(scene: Scene, buffer: GeometryBuffer) -> Reach:
+def find_reach(scene: Scene, buffer: GeometryBuffer) -> Reach:
     """Return the reach of casters on a buffer's points, where the buffer already holds all ground."""
     if not _sun_shines(scene, buffer):
         return NO_CASTERS.reach
-    return _reach(scene, buffer, _towards_m(scene, buffer, _can_shade(scene, buffer)))
+    return _reach(scene, buffer, _sunward_extent_m(scene, buffer, _shading_cells(scene, buffer)))
 
 
-def reach_over(scene: Scene, nodes: BareNodes) -> Reach:
+def find_reach_of_nodes(scene: Scene, nodes: BareNodes) -> Reach:
     """Return the reach of casters on nodes of bare ground."""
     if not _sun_shines(scene, nodes):
         return NO_CASTERS.reach
-    return _reach(scene, nodes, _towards_m(scene, nodes, _cells_beside(scene, nodes)[0]))
+    return _reach(scene, nodes, _sunward_extent_m(scene, nodes, _find_shading_cells(scene, nodes)[0]))
 
 
-def casters_in_sun(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
+def find_sun_casters(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
     """Return the ground outside a map's block that can shade it from the sun."""
     if not _sun_shines(scene, receivers):
         return ()
@@ -202,35 +202,35 @@ def _sun_shines(scene: Scene, buffer: Receivers) -> bool:
     return scene.light is not None and scene.sun_is_up and bool(buffer.there.any())
 
 
-def _can_shade(scene: Scene, buffer: Receivers) -> np.ndarray:
+def _shading_cells(scene: Scene, buffer: Receivers) -> np.ndarray:
     """Return which of the overview's cells lie between a buffer's points and the sun, bool (rows, cols)."""
     light, slack = _overview_in_light(scene)
-    return _before(scene, buffer, light, slack)
+    return _is_towards_sun(scene, buffer, light, slack)
 
 
-def _before(scene: Scene, buffer: Receivers, light_m: np.ndarray, slack_m: float) -> np.ndarray:
+def _is_towards_sun(scene: Scene, buffer: Receivers, light_m: np.ndarray, slack_m: float) -> np.ndarray:
     """Return which points in light space (..., 3) lie between a buffer's points and the sun.
 
     Points that miss it by less than ``slack_m`` count, too.
     """
     assert scene.light is not None
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
-    found: np.ndarray = (
+    is_towards_sun: np.ndarray = (
         (light_m[..., 0] >= low[0] - slack_m) & (light_m[..., 0] <= high[0] + slack_m)
         & (light_m[..., 1] >= low[1] - slack_m) & (light_m[..., 2] <= high[2] + slack_m)
     )  # fmt: skip
-    return found
+    return is_towards_sun
 
 
-def _reach(scene: Scene, buffer: GeometryBuffer | BareNodes, known_m: float) -> Reach:
-    made = scene.loaded.level.terrain.source is None  # generated ground has no unknown ground beyond its edge
-    limit_m, unknown_m = (known_m, known_m) if made else _data_limit(scene, buffer)
+def _reach(scene: Scene, buffer: GeometryBuffer | BareNodes, caster_m: float) -> Reach:
+    is_generated = scene.loaded.level.terrain.source is None  # generated ground has no unknown ground beyond its edge
+    limit_m, unknown_m = (caster_m, caster_m) if is_generated else _data_limit(scene, buffer)
     if limit_m >= unknown_m:
-        return Reach(known_m, known_m, False)
+        return Reach(caster_m, caster_m, False)
     return Reach(limit_m, unknown_m, True)
 
 
-def _on_grid(buffer: Receivers) -> tuple[Grid, NodeHeights | ColumnWindow]:
+def _grid_and_ground(buffer: Receivers) -> tuple[Grid, NodeHeights | ColumnWindow]:
     """Return the grid of a map's block and its own ground on it. For columns it is the grid of the raster's cells."""
     if buffer.columns is not None:
         return buffer.columns.window.columns.grid, buffer.columns.window
@@ -240,7 +240,7 @@ def _on_grid(buffer: Receivers) -> tuple[Grid, NodeHeights | ColumnWindow]:
 
 def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
     """Return the ground between a block and the level's lamps, on the block's own grid, within ``FULL_DETAIL_NODES``."""
-    grid, own = _on_grid(buffer)
+    grid, own = _grid_and_ground(buffer)
     rows, cols = own.shape
     found: dict[Patch, None] = {}
     for lamp in scene.lamps.values():
@@ -260,12 +260,12 @@ def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
     return tuple(found)
 
 
-def _towards_m(scene: Scene, buffer: Receivers, can: np.ndarray) -> float:
-    """Return how far the overview's cells that ``can`` selects extend towards the sun from a buffer's receivers, metres."""
+def _sunward_extent_m(scene: Scene, buffer: Receivers, can_shade: np.ndarray) -> float:
+    """Return how far the overview's cells that ``can_shade`` selects extend towards the sun from a buffer's receivers, metres."""
     assert scene.light is not None
-    if not can.any():
+    if not can_shade.any():
         return 0.0
-    towards = scene.light.towards_sun_m(_overview_in_light(scene)[0][can])
+    towards = scene.light.towards_sun_m(_overview_in_light(scene)[0][can_shade])
     return max(float(towards.max()) - _sunward_edge_m(scene.light, buffer), 0.0)
 
 
@@ -328,55 +328,59 @@ def _columns_round_the_earth(grid: Grid) -> float | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _CellsInSun:
+class _ShadingCells:
     """Overview cells that can shade a block.
 
     Attributes
     ----------
     row, col, half
         float64 (n,), rows, columns and half extents on the block's grid, in nodes.
-    away
+    distance
         float64 (n,), distances from the block, in nodes.
     """
 
     row: np.ndarray
     col: np.ndarray
     half: np.ndarray
-    away: np.ndarray
+    distance: np.ndarray
 
 
-def _cells_beside(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _CellsInSun]:
+def _find_shading_cells(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _ShadingCells]:
     """Return the overview's cells that can shade a block.
 
-    The mask (rows, cols) selects those outside the block. The ``_CellsInSun`` include cells under the block, refined where
+    The mask (rows, cols) selects those outside the block. The ``_ShadingCells`` include cells under the block, refined where
     necessary.
     """
-    can = _can_shade(scene, buffer)
-    grid, own = _on_grid(buffer)
+    can_shade = _shading_cells(scene, buffer)
+    grid, own = _grid_and_ground(buffer)
     row, col, half = overview_on_grid(scene.world, scene.elevation, grid)
-    can = can & np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
-    row, col, half = row[can], col[can], half[can]
+    can_shade = can_shade & np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
+    row, col, half = row[can_shade], col[can_shade], half[can_shade]
     rows, cols = own.shape
     period = _columns_round_the_earth(grid)
     if period is not None and len(col):
         col = col + period * np.rint((own.col0 + cols / 2 - np.median(col)) / period)
-    outside = can.copy()
-    outside[can] = _away(own, row, col) > 0
+    outside = can_shade.copy()
+    outside[can_shade] = _node_distances(own, row, col) > 0
     if len(half) and float(np.median(half)) > COARSE_CELL_NODES:
         assert scene.light is not None
-        fine = fine_cells(scene, scene.light, grid, can, (col, half), period)
+        fine = fine_cells(scene, scene.light, grid, can_shade, (col, half), period)
         if fine is not None:
-            kept = _before(scene, buffer, fine.light_m, fine.wide_m * CELL_SLACK) & np.isfinite(fine.row) & np.isfinite(fine.col)
-            row, col, half = fine.row[kept], fine.col[kept], fine.half[kept]
-    return outside, _CellsInSun(row, col, half, _away(own, row, col))
+            selected = (
+                _is_towards_sun(scene, buffer, fine.light_m, fine.width_m * CELL_SLACK)
+                & np.isfinite(fine.row)
+                & np.isfinite(fine.col)
+            )
+            row, col, half = fine.row[selected], fine.col[selected], fine.half[selected]
+    return outside, _ShadingCells(row, col, half, _node_distances(own, row, col))
 
 
-def _away(own: NodeHeights | ColumnWindow, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+def _node_distances(own: NodeHeights | ColumnWindow, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """Return the distances of positions (n,) from a block's own ground, in nodes; 0 on it."""
     rows, cols = own.shape
     beside = [own.row0 - row, row - (own.row0 + rows - 1), own.col0 - col, col - (own.col0 + cols - 1), np.zeros_like(row)]
-    away: np.ndarray = np.maximum.reduce(beside)
-    return away
+    distance: np.ndarray = np.maximum.reduce(beside)
+    return distance
 
 
 def _patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]:
@@ -385,14 +389,14 @@ def _patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]
     The distance is measured towards the sun, in metres. A cell may be larger than a patch and than the block: it counts at each
     level of detail within that level's distance.
     """
-    outside, cells = _cells_beside(scene, buffer)
-    (grid, own), row, col, half, away = _on_grid(buffer), cells.row, cells.col, cells.half, cells.away
+    outside, cells = _find_shading_cells(scene, buffer)
+    (grid, own), row, col, half, distance = _grid_and_ground(buffer), cells.row, cells.col, cells.half, cells.distance
     rows, cols = own.shape
     assert scene.light is not None
-    known_m = _towards_m(scene, buffer, outside)
+    caster_m = _sunward_extent_m(scene, buffer, outside)
     relief_m, altitude_deg = np.ptp(scene.height_range_m), scene.light.altitude_deg
     longest_m = longest_shadow_m(relief_m, altitude_deg, not scene.world.flat, scene.world.radius_m)
-    farthest = min(float(away.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half.max(initial=0.0)
+    farthest = min(float(distance.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half.max(initial=0.0)
     patches: list[Patch] = []
     detail = _full_detail_nodes(scene, grid)
     level, near = 0, 0
@@ -407,29 +411,29 @@ def _patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]
         spans = np.concatenate([np.floor(low[reached] / quads), np.floor(high[reached] / quads)], axis=1).astype(np.int64)
         found = {
             Patch(level, r, c)
-            for top, left, bottom, right in _distinct(spans)
+            for top, left, bottom, right in _unique_rows(spans)
             for r in range(top, bottom + 1)
             for c in range(left, right + 1)
             if not _inside(r * quads, c * quads, quads, own.row0 - near, own.col0 - near, rows + 2 * near, cols + 2 * near)
         }
-        patches += _in_the_way(scene, buffer, sorted(found, key=lambda patch: (patch.row, patch.col)))
+        patches += _patches_that_may_shade(scene, buffer, sorted(found, key=lambda patch: (patch.row, patch.col)))
         level, near = level + 1, far
-    return tuple(patches), known_m
+    return tuple(patches), caster_m
 
 
 def _full_detail_nodes(scene: Scene, grid: Grid) -> int:
     """Return the distance from a block, in nodes, within which casters are read on the block's own grid."""
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
-    share = NODES_A_CELL * scene.surface(grid).step_m / cell_m
+    share = NODES_PER_CELL * scene.surface(grid).step_m / cell_m
     return int(np.clip(FULL_DETAIL_NODES * share, LEAST_DETAIL_NODES, FULL_DETAIL_NODES))
 
 
-def _in_the_way(scene: Scene, buffer: Receivers, patches: list[Patch]) -> list[Patch]:
+def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch]) -> list[Patch]:
     """Return the patches, all of one level, that could shade the block if they were as high as the level's highest ground."""
     if not patches:
         return []
     assert scene.light is not None
-    (grid, _), quads = _on_grid(buffer), PATCH_QUADS * 2 ** patches[0].level
+    (grid, _), quads = _grid_and_ground(buffer), PATCH_QUADS * 2 ** patches[0].level
     middle = np.array([(patch.row, patch.col) for patch in patches]) * quads + quads / 2
     point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
@@ -440,7 +444,7 @@ def _in_the_way(scene: Scene, buffer: Receivers, patches: list[Patch]) -> list[P
     return [patch for patch, kept in zip(patches, keep, strict=True) if kept]
 
 
-def _distinct(spans: np.ndarray) -> list[list[int]]:
+def _unique_rows(spans: np.ndarray) -> list[list[int]]:
     """Return the distinct rows of an integer array, by one key each (``np.unique`` over rows is 20 times slower)."""
     if not len(spans):
         return []
@@ -463,7 +467,7 @@ def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
     return float(high[0])
 
 
-def _rim(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rim_pixels(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of pixels on the rim of a valid mask: the ends of nine rows and nine columns."""
     ends = []
     for axis, mask in enumerate((there, there.T)):
@@ -475,15 +479,15 @@ def _rim(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return i, j
 
 
-def _starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, np.ndarray, np.ndarray, tuple[float, float]]:
+def _ray_starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, np.ndarray, np.ndarray, tuple[float, float]]:
     """Return positions among a buffer's receivers from which rays to the sun are examined: CRS, x, y, and the view's middle."""
     view = buffer.view
     if isinstance(view, MapView):
-        i, j = _rim(buffer.shown if isinstance(buffer, BareNodes) else buffer.there)
+        i, j = _rim_pixels(buffer.shown if isinstance(buffer, BareNodes) else buffer.there)
         x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
     there = np.flatnonzero(buffer.there)
-    seen = buffer.position_frame_m.reshape(-1, 3)[there[:: max(len(there) // STARTS, 1)]]
+    seen = buffer.position_frame_m.reshape(-1, 3)[there[:: max(len(there) // RAY_STARTS, 1)]]
     points = buffer.frame.points_to_earth(seen)
     x, y, _ = scene.world.map_position(scene.map_crs, points)
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))
@@ -497,7 +501,7 @@ def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float
     assert scene.sun is not None and scene.light is not None
     lowest = float(np.nanmin(buffer.height_m))
     relief = max(scene.height_range_m[1] - lowest, UNKNOWN_RELIEF_M)
-    crs, x, y, middle = _starts(scene, buffer)
+    crs, x, y, middle = _ray_starts(scene, buffer)
     if scene.world.flat:
         azimuth, altitude = scene.sun.azimuth_deg, scene.sun.altitude_deg
     else:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.terrain.compiled import CORES, compiled, internal, on_cores
+from skugga.terrain.compiled import CORES, compiled, internal, map_on_cores
 from skugga.terrain.ground.sheet import Sheet
 
 LEAST_TILE_QUADS = 4
@@ -64,7 +64,7 @@ class SheetRays:
             return np.zeros(len(start_m), bool)
         axes, pyramids = _axes_along(direction), self._along(tuple(map(float, direction)))
         parts = np.array_split((start_m - self._centre_m) @ axes.T, CORES)
-        return np.concatenate(on_cores(partial(_blocked, pyramids), parts))
+        return np.concatenate(map_on_cores(partial(_blocked, pyramids), parts))
 
     def _along(self, direction: tuple[float, ...]) -> Pyramids:
         """Return the sheets rotated along a direction. The last ones are cached."""
@@ -89,13 +89,13 @@ class SheetRays:
             sheets.append((node, cols + 1, quad, first, len(levels) - 1))
             node, quad = node + (rows + 1) * (cols + 1), quad + rows * cols
         falls = np.concatenate([each.falls.ravel() for each in self._sheets])
-        found = Pyramids(np.empty((node, 3)), falls, np.array(sheets), np.array(levels), np.empty((box, 5)))
+        pyramids = Pyramids(np.empty((node, 3)), falls, np.array(sheets), np.array(levels), np.empty((box, 5)))
 
         def build(number: int) -> None:
-            _build(found, number, self._sheets[number].position_frame_m, self._centre_m, axes)
+            _build(pyramids, number, self._sheets[number].position_frame_m, self._centre_m, axes)
 
-        on_cores(build, range(len(self._sheets)))
-        return found
+        map_on_cores(build, range(len(self._sheets)))
+        return pyramids
 
 
 def _axes_along(direction: np.ndarray) -> np.ndarray:
@@ -157,45 +157,45 @@ def _blocked(pyramids, start):
     for n in range(len(start)):
         a, b, d = start[n]
         for number in range(len(pyramids.sheet)):
-            if _meets(pyramids, number, a, b, d, stack):
+            if _hits_sheet(pyramids, number, a, b, d, stack):
                 out[n] = True
                 break
     return out
 
 
 @internal
-def _meets(pyramids, number, a, b, d, stack):
+def _hits_sheet(pyramids, number, a, b, d, stack):
     """Return whether a ray meets a triangle of a sheet."""
     _, _, _, low, high = pyramids.sheet[number]
     box, level = pyramids.box, pyramids.level
-    if not _in_box(box, level[high, 0], a, b, d):
+    if not _may_hit_box(box, level[high, 0], a, b, d):
         return False
     stack[0, 0], stack[0, 1], stack[0, 2] = high, 0, 0
-    waiting = 1
-    while waiting > 0:
-        waiting -= 1
-        at, i, j = stack[waiting]
+    stack_size = 1
+    while stack_size > 0:
+        stack_size -= 1
+        at, i, j = stack[stack_size]
         if at == low:
-            if _meets_tile(pyramids, number, i, j, a, b, d):
+            if _hits_tile(pyramids, number, i, j, a, b, d):
                 return True
             continue
         under, under_tall, under_wide = level[at - 1]
         for r in range(2 * i, min(2 * i + 2, under_tall)):
             for c in range(2 * j, min(2 * j + 2, under_wide)):
-                if _in_box(box, under + r * under_wide + c, a, b, d):
-                    stack[waiting, 0], stack[waiting, 1], stack[waiting, 2] = at - 1, r, c
-                    waiting += 1
+                if _may_hit_box(box, under + r * under_wide + c, a, b, d):
+                    stack[stack_size, 0], stack[stack_size, 1], stack[stack_size, 2] = at - 1, r, c
+                    stack_size += 1
     return False
 
 
 @internal
-def _in_box(box, at, a, b, d):
+def _may_hit_box(box, at, a, b, d):
     """Return whether the contents of a box may cover a point, farther along the rays."""
     return box[at, 2] <= b and b <= box[at, 3] and box[at, 0] <= a and a <= box[at, 1] and box[at, 4] > d
 
 
 @internal
-def _meets_tile(pyramids, number, i, j, a, b, d):
+def _hits_tile(pyramids, number, i, j, a, b, d):
     """Return whether a ray meets a triangle of a tile of quads."""
     first, per_row, first_quad, _, _ = pyramids.sheet[number]
     last = pyramids.sheet[number + 1, 2] if number + 1 < len(pyramids.sheet) else len(pyramids.falls)
@@ -213,15 +213,15 @@ def _meets_tile(pyramids, number, i, j, a, b, d):
             if node[at, 1] > b and node[at + 1, 1] > b and node[below, 1] > b and node[below + 1, 1] > b:
                 continue
             if pyramids.falls[first_quad + r * cols + c]:
-                if _covers(node, at, below + 1, at + 1, a, b, d) or _covers(node, at, below + 1, below, a, b, d):
+                if _hits_triangle(node, at, below + 1, at + 1, a, b, d) or _hits_triangle(node, at, below + 1, below, a, b, d):
                     return True
-            elif _covers(node, below, at + 1, at, a, b, d) or _covers(node, below, at + 1, below + 1, a, b, d):
+            elif _hits_triangle(node, below, at + 1, at, a, b, d) or _hits_triangle(node, below, at + 1, below + 1, a, b, d):
                 return True
     return False
 
 
 @internal
-def _covers(node, p, q, r, a, b, d):
+def _hits_triangle(node, p, q, r, a, b, d):
     """Return whether a triangle of three nodes covers a point, with its sides and corners, farther along the rays.
 
     Triangles seen edge-on, or with a missing corner, cover nothing.

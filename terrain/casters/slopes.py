@@ -24,18 +24,18 @@ MAX_SLOPE = 50.0
 """Maximum slope that is resolved: 89 degrees. Beyond it, or on another side of the earth, the result is unknown."""
 
 
-def above_slopes(reach: np.ndarray | None, to_sun_enu: np.ndarray) -> tuple[float | None, float | None]:
-    """Return minimum and maximum of u - (a e + b n) over all facets with slopes within the support ``reach``.
+def facing_range_of_slopes(support: np.ndarray | None, to_sun_enu: np.ndarray) -> tuple[float | None, float | None]:
+    """Return minimum and maximum of u - (a e + b n) over all facets with slopes within the support ``support``.
 
     Facets with a positive value face the sun. ``None`` where the slopes are unknown.
     """
-    if reach is None:
+    if support is None:
         return None, None
     turn = 2.0 * np.pi / DIRECTIONS
-    angle, after = np.arange(DIRECTIONS) * turn, np.roll(reach, -1)
+    angle, next_support = np.arange(DIRECTIONS) * turn, np.roll(support, -1)
     # Corners of the polygon: intersections of the lines of neighbouring directions.
-    across = (after - reach * np.cos(turn)) / np.sin(turn)
-    corners = np.column_stack([reach * np.cos(angle) - across * np.sin(angle), reach * np.sin(angle) + across * np.cos(angle)])
+    across = (next_support - support * np.cos(turn)) / np.sin(turn)
+    corners = np.column_stack([support * np.cos(angle) - across * np.sin(angle), support * np.sin(angle) + across * np.cos(angle)])
     along = corners @ to_sun_enu[:2]
     return float(to_sun_enu[2] - along.max()), float(to_sun_enu[2] - along.min())
 
@@ -44,7 +44,7 @@ Corridor = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Part of a frame. Rows (2, 3) and offsets (2,) map points to two coordinates; (2, 2) holds the minimum and maximum of each."""
 
 
-def above_mesh(
+def facing_range_of_mesh(
     world: World, ground: GroundMesh, frame: LocalFrame, corridor: Corridor, to_sun_enu: np.ndarray
 ) -> tuple[float | None, float | None]:
     """Return minimum and maximum of u - (a e + b n) over facets of a perspective view's ground that intersect a corridor.
@@ -54,14 +54,16 @@ def above_mesh(
     """
     rows, offsets, bounds = corridor
     to_frame = frame.frame_from_earth @ world.earth_from_anchor
-    least, most = _above(ground.position_frame_m, ground.triangles, rows, offsets, bounds, to_frame @ to_sun_enu, to_frame[:, 2])
-    return (None, None) if np.isnan(least) else (float(least), float(most))
+    minimum, maximum = _facing_range(
+        ground.position_frame_m, ground.triangles, rows, offsets, bounds, to_frame @ to_sun_enu, to_frame[:, 2]
+    )
+    return (None, None) if np.isnan(minimum) else (float(minimum), float(maximum))
 
 
 @cached("scene", 64 * MIB)
-def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | None:
+def slope_support(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | None:
     """Return the support (``DIRECTIONS``,) of the slopes of the level's whole ground on a map grid; ``None`` if it is unknown."""
-    surface, reach, directions = Surface(world, elevation, grid), _nothing(), _directions()
+    surface, support, directions = Surface(world, elevation, grid), _empty_support(), _directions()
     (first_row, last_row), (first_col, last_col) = extent_on_grid(world, elevation, grid)
     for row in range(first_row, last_row, BLOCK_PX):
         for col in range(first_col, last_col, BLOCK_PX):
@@ -69,10 +71,10 @@ def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | 
             middle = float(grid.x(col + cols / 2)), float(grid.y(row + rows / 2))
             frame = world.frame_near(grid.crs, *middle)
             normals = surface.window(row, col, rows, cols, frame).sheet.normals_frame
-            _take(normals.reshape(-1, 3), world.anchor_from_frame(frame)[0], directions, reach)
-            if _known(reach) is None and np.isposinf(reach).any():
+            _extend_support(normals.reshape(-1, 3), world.anchor_from_frame(frame)[0], directions, support)
+            if _finite_or_none(support) is None and np.isposinf(support).any():
                 return None
-    return _known(reach)
+    return _finite_or_none(support)
 
 
 @cached("scene", MIB)
@@ -85,11 +87,11 @@ def node_count(world: World, elevation: Elevation, grid: Grid) -> int:
 def extent_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return first and last row, and first and last column, of a grid that a raster covers."""
     row, col, half = overview_on_grid(world, elevation, grid)
-    known = np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
-    if not known.any():
+    valid = np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
+    if not valid.any():
         return (0, 0), (0, 0)
     rows, cols = (
-        (int(np.floor((v - half)[known].min())), int(np.ceil((v + half)[known].max()))) for v in (row, col)
+        (int(np.floor((v - half)[valid].min())), int(np.ceil((v + half)[valid].max()))) for v in (row, col)
     )  # fmt: skip
     return rows, cols
 
@@ -99,17 +101,17 @@ def _directions() -> np.ndarray:
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _nothing() -> np.ndarray:
+def _empty_support() -> np.ndarray:
     return np.full(DIRECTIONS, -np.inf)
 
 
-def _known(reach: np.ndarray) -> np.ndarray | None:
-    return reach if np.isfinite(reach).all() else None
+def _finite_or_none(support: np.ndarray) -> np.ndarray | None:
+    return support if np.isfinite(support).all() else None
 
 
 @compiled
-def _take(normals, anchor_from_frame, directions, reach):
-    """Extend the support ``reach`` by the slopes of normals (n, 3) of any length.
+def _extend_support(normals, anchor_from_frame, directions, support):
+    """Extend the support ``support`` by the slopes of normals (n, 3) of any length.
 
     All of it becomes infinite if a facet is too steep to have a slope.
     """
@@ -123,7 +125,7 @@ def _take(normals, anchor_from_frame, directions, reach):
         east = t[0, 0] * x + t[0, 1] * y + t[0, 2] * z
         north = t[1, 0] * x + t[1, 1] * y + t[1, 2] * z
         if up * MAX_SLOPE < np.sqrt(x * x + y * y + z * z):
-            reach[:] = np.inf
+            support[:] = np.inf
             return
         a, b = -east / up, -north / up
         if a * a + b * b < inner * inner:
@@ -131,19 +133,19 @@ def _take(normals, anchor_from_frame, directions, reach):
         stretched = False
         for k in range(len(directions)):
             along = a * directions[k, 0] + b * directions[k, 1]
-            if along > reach[k]:
-                reach[k] = along
+            if along > support[k]:
+                support[k] = along
                 stretched = True
         if stretched:
-            least = reach[0]
+            least = support[0]
             for k in range(len(directions)):
-                least = reach[k] if reach[k] < least else least
+                least = support[k] if support[k] < least else least
             inner = max(least, 0.0)
 
 
 @compiled
-def _above(position, triangles, rows, offsets, bounds, to_sun, upward):
-    least, most = np.inf, np.inf
+def _facing_range(position, triangles, rows, offsets, bounds, to_sun, upward):
+    minimum, maximum = np.inf, np.inf
     for t in range(len(triangles)):
         o, p, q = position[triangles[t, 0]], position[triangles[t, 1]], position[triangles[t, 2]]
         inside = True
@@ -166,6 +168,6 @@ def _above(position, triangles, rows, offsets, bounds, to_sun, upward):
             continue
         if up * MAX_SLOPE < length:
             return np.nan, np.nan
-        above = (to_sun[0] * x + to_sun[1] * y + to_sun[2] * z) / up
-        least, most = min(least, above), above if most == np.inf else max(most, above)
-    return least, most
+        facing = (to_sun[0] * x + to_sun[1] * y + to_sun[2] * z) / up
+        minimum, maximum = min(minimum, facing), facing if maximum == np.inf else max(maximum, facing)
+    return minimum, maximum

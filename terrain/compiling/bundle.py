@@ -23,7 +23,7 @@ TARGET = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
 Given the name alone, numba would add the features of the local processor.
 """
 
-FLAGS = frozenset({"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"})
+V3_CPU_FLAGS = frozenset({"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"})
 """Instruction sets that x86-64-v3 adds to v2, as named in ``/proc/cpuinfo``."""
 
 
@@ -55,7 +55,7 @@ def _is_v3(cpuinfo: Path) -> bool:
     flags = next(
         (line for line in cpuinfo.read_text(encoding="ascii", errors="replace").splitlines() if line.startswith("flags")), ""
     )
-    return frozenset(flags.partition(":")[2].split()) >= FLAGS
+    return frozenset(flags.partition(":")[2].split()) >= V3_CPU_FLAGS
 
 
 def _is_set(environment: Mapping[str, str]) -> bool:

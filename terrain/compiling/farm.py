@@ -58,19 +58,19 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--background", action="store_true", help="at the lowest priority")
     parser.add_argument("products", nargs="+")
-    asked = parser.parse_args(argv)
+    arguments = parser.parse_args(argv)
     logging.getLogger("skugga").setLevel(logging.ERROR)  # the process that uses the store logs its warnings once
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the waiting parent process handles Ctrl-C
-    if asked.background:
+    if arguments.background:
         os.nice(LOWEST_PRIORITY)
     try:
-        with _one_at_a_time(asked.background):
-            tasks = missing_tasks(asked.products)
+        with _one_at_a_time(arguments.background):
+            tasks = missing_tasks(arguments.products)
             if tasks:
-                print(0, len(tasks), asked.products[min(task.rank for task in tasks)], flush=True)
-            for done, task in enumerate(compile_tasks(tasks, asked.processes), 1):
-                print(done, len(tasks), asked.products[task.rank], flush=True)
+                print(0, len(tasks), arguments.products[min(task.rank for task in tasks)], flush=True)
+            for done, task in enumerate(compile_tasks(tasks, arguments.processes), 1):
+                print(done, len(tasks), arguments.products[task.rank], flush=True)
     except BrokenPipeError:  # the parent process has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError:  # the store is not writable: the caller of a loop compiles it and logs the reason
@@ -160,14 +160,16 @@ class _Queue:
         by_loop: dict[Any, list[int]] = {}
         for number, task in enumerate(tasks):
             by_loop.setdefault(task.loop, []).append(number)
-        before = {number: [n for each in callees[task.loop] for n in by_loop.get(each, ())] for number, task in enumerate(tasks)}
+        dependencies = {
+            number: [n for each in callees[task.loop] for n in by_loop.get(each, ())] for number, task in enumerate(tasks)
+        }
         self._tasks = tasks
         own = [_code_bytes(task.loop) + sum(map(_code_bytes, callees[task.loop])) for task in tasks]
         self._chain = list(own)
-        for number in reversed([*TopologicalSorter(before).static_order()]):  # callers first
-            for callee in before[number]:
+        for number in reversed([*TopologicalSorter(dependencies).static_order()]):  # callers first
+            for callee in dependencies[number]:
                 self._chain[callee] = max(self._chain[callee], own[callee] + self._chain[number])
-        self._sorter = TopologicalSorter(before)
+        self._sorter = TopologicalSorter(dependencies)
         self._sorter.prepare()
         self._ready: list[int] = []
 
@@ -206,8 +208,8 @@ def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequ
         try:
             loop.compile(args)
         except Exception as error:  # numba raises many types, for example if the recorded signature is out of date
-            why = str(error).partition("\n")[0]
-            print(f"skugga: {loop.py_func.__module__}.{loop.py_func.__name__}: cannot be compiled ahead: {why}", file=sys.stderr)
+            reason = str(error).partition("\n")[0]
+            print(f"skugga: {loop.py_func.__module__}.{loop.py_func.__name__}: cannot be compiled ahead: {reason}", file=sys.stderr)
         try:
             pipe.send(number)
         except OSError:  # the parent process was killed
@@ -216,22 +218,22 @@ def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequ
 
 def callees_of(loops: Iterable[Any]) -> dict[Any, set[Any]]:
     """Return the direct and indirect callees of each loop, and of every loop among these callees."""
-    found: dict[Any, set[Any]] = {}
+    callees_by_loop: dict[Any, set[Any]] = {}
 
-    def look(loop: Any) -> set[Any]:
-        if loop not in found:
-            found[loop] = set()  # ends the recursion of a loop that calls itself
+    def visit(loop: Any) -> set[Any]:
+        if loop not in callees_by_loop:
+            callees_by_loop[loop] = set()  # ends the recursion of a loop that calls itself
             function = loop.py_func
             cells = [cell.cell_contents for cell in function.__closure__ or ()]
             values = [*cells, *(function.__globals__.get(name) for name in _names(function.__code__))]
             for callee in values:
                 if isinstance(callee, Dispatcher) and callee is not loop:
-                    found[loop] |= {callee} | look(callee)
-        return found[loop]
+                    callees_by_loop[loop] |= {callee} | visit(callee)
+        return callees_by_loop[loop]
 
     for loop in loops:
-        look(loop)
-    return found
+        visit(loop)
+    return callees_by_loop
 
 
 def _names(code: CodeType) -> Iterator[str]:

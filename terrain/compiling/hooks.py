@@ -11,10 +11,10 @@ Compile = Callable[[Sequence[str]], None]
 _compilers: list[Compile] = []
 _needed: list[str] = []
 _compiled: set[str] = set()
-_is_ahead = True
+_is_grouping_enabled = True
 
 
-def need(product: str) -> None:
+def declare_product(product: str) -> None:
     """Declare a product (one of ``ahead.PRODUCTS``) that this process computes.
 
     If a loop is missing, all missing loops of the declared products are compiled together.
@@ -24,7 +24,7 @@ def need(product: str) -> None:
 
 
 @contextmanager
-def compiled_by(compile_products: Compile) -> Iterator[None]:
+def missing_loop_compiler(compile_products: Compile) -> Iterator[None]:
     """Within the block, call a function with the needed products on the first missing loop.
 
     The function is called again only after further products were declared. Other missing loops are compiled one by one.
@@ -36,16 +36,16 @@ def compiled_by(compile_products: Compile) -> Iterator[None]:
         _compilers.remove(compile_products)
 
 
-def compile_when_called() -> None:
+def compile_lazily() -> None:
     """From now on compile each loop in this process on its first call, regardless of the needed products."""
-    global _is_ahead
-    _is_ahead = False
+    global _is_grouping_enabled
+    _is_grouping_enabled = False
 
 
-def report_missing_loop() -> bool:
+def compile_needed_products() -> bool:
     """Compile the needed products that are not compiled yet. Return whether there were any: if so, the loop may now be stored."""
     products = [product for product in _needed if product not in _compiled]
-    if not products or not _compilers or not _is_ahead:
+    if not products or not _compilers or not _is_grouping_enabled:
         return False
     _compiled.update(products)
     _compilers[-1](products)

@@ -12,17 +12,17 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
 
-def hide_from_python(loop: Any) -> None:
+def forbid_python_calls(loop: Any) -> None:
     """Make calls of a loop from Python raise ``TypeError``. The loop has no entry point for Python, so a call would crash."""
-    loop._insert = _keep_from_python
-    loop._compile_for_args = _refuse
+    loop._insert = _skip_registration
+    loop._compile_for_args = _raise_for_python_call
 
 
-def _keep_from_python(*signature: object, **options: object) -> None:
+def _skip_registration(*signature: object, **options: object) -> None:
     """Replace the method that registers a compiled signature for calls from Python. Do nothing."""
 
 
-def _refuse(*args: object, **keywords: object) -> NoReturn:
+def _raise_for_python_call(*args: object, **keywords: object) -> NoReturn:
     """Replace the method that handles a call from Python without a compiled signature. Raise ``TypeError``."""
     raise TypeError("an internal loop can be called by compiled loops only")
 

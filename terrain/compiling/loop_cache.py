@@ -22,7 +22,7 @@ from numba.core.serialize import dumps
 from numba.core.types import Type
 
 from skugga.terrain.compiling.digest import UnknownValueError, describe_function, describe_types, digest
-from skugga.terrain.compiling.hooks import report_missing_loop
+from skugga.terrain.compiling.hooks import compile_needed_products
 from skugga.terrain.compiling.store import LoopStore, default_store
 
 ENTRY_FORMAT = 1
@@ -47,7 +47,7 @@ _dumps: Callable[[Any], bytes] = dumps
 _normalized: Callable[[Any], tuple[tuple[Type, ...], Any]] = sigutils.normalize_signature
 
 _store: list[LoopStore] = []
-_mixed: set[Loop] = set()
+_inconsistent_loops: set[Loop] = set()
 
 recorders: list[Callable[[Loop, tuple[Type, ...]], None]] = []
 """Callbacks for each loop that this process compiles: called with the loop and the types of its arguments."""
@@ -112,12 +112,12 @@ class LoopCache(_Cache):
     def entry_name(self, args: tuple[Type, ...], target: Hashable) -> str | None:
         """Return the name of the cache entry of a signature, or ``None`` if the loop cannot be stored."""
         try:
-            own = self.digest()
+            loop_digest = self.digest()
         except UnknownValueError as error:
             log.debug("%s: cannot be stored: it reads %s", self._dispatcher, error)
             return None
         readable = re.sub(r"\W", "", self._dispatcher.py_func.__name__)[:NAME_LENGTH]
-        return f"{readable}-{digest((_engine(target), own, describe_types(args)))[:40]}"
+        return f"{readable}-{digest((_engine(target), loop_digest, describe_types(args)))[:40]}"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any | None:
         """Return the stored machine code of a signature, or ``None`` on a cache miss."""
@@ -127,7 +127,7 @@ class LoopCache(_Cache):
                 self.digest()  # fix the digest now: callers that are compiled later include the same values
             return None
         found = self._read(args, target_context)
-        if found is None and report_missing_loop():  # the hook may have compiled it in another process
+        if found is None and compile_needed_products():  # the hook may have compiled it in another process
             found = self._read(args, target_context)
         return found
 
@@ -168,19 +168,19 @@ def _digest_of(dispatcher: Loop, callers: tuple[Loop, ...]) -> str:
     if dispatcher in callers:
         return f"caller {callers[::-1].index(dispatcher)}"
     cache = dispatcher._cache
-    known = cache._digest if isinstance(cache, LoopCache) else None
-    if known is not None and callers and not _mixed:
-        return known
+    cached_digest = cache._digest if isinstance(cache, LoopCache) else None
+    if cached_digest is not None and callers and not _inconsistent_loops:
+        return cached_digest
     function = dispatcher.py_func
     options = tuple(sorted((name, repr(value)) for name, value in dispatcher.targetoptions.items()))
-    now = digest((options, describe_function(function, lambda callee: _digest_of(callee, (*callers, dispatcher)))))
+    current_digest = digest((options, describe_function(function, lambda callee: _digest_of(callee, (*callers, dispatcher)))))
     if isinstance(cache, LoopCache):
-        if known not in (None, now):
-            _mixed.add(dispatcher)
-        if dispatcher in _mixed:
+        if cached_digest not in (None, current_digest):
+            _inconsistent_loops.add(dispatcher)
+        if dispatcher in _inconsistent_loops:
             raise UnknownValueError(f"values that have changed since {dispatcher} was compiled")
-        cache._digest = now
-    return now
+        cache._digest = current_digest
+    return current_digest
 
 
 def _engine(target: Hashable) -> Hashable:

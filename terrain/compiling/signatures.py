@@ -55,9 +55,9 @@ def recorded_signatures(products: Iterable[str] | None = None) -> list[Signature
     if not PATH.is_file():
         return []
     rows = json.loads(PATH.read_text(encoding="utf-8"))
-    found = [Signature(row["loop"], json.dumps(row["args"]), tuple(row["products"])) for row in rows]
-    wanted = None if products is None else set(products)
-    return [each for each in found if wanted is None or wanted & set(each.products)]
+    signatures = [Signature(row["loop"], json.dumps(row["args"]), tuple(row["products"])) for row in rows]
+    product_set = None if products is None else set(products)
+    return [each for each in signatures if product_set is None or product_set & set(each.products)]
 
 
 def encode_type(numba_type: Any) -> Encoded:

@@ -27,7 +27,7 @@ SUFFIX = ".loop"
 MAX_BYTES = 256 * 2**20
 """Maximum size of the writable folder. All loops of one version take 10 MB."""
 
-EVICTED_TO = 0.75
+EVICTION_TARGET_SHARE = 0.75
 """Fraction of ``MAX_BYTES`` that an eviction leaves, so that not every write evicts."""
 
 SCAN_EVERY_BYTES = 8 * 2**20
@@ -139,7 +139,7 @@ class LoopStore:
                 with suppress(FileNotFoundError):
                     os.unlink(path)
                 total -= size
-                if total <= EVICTED_TO * MAX_BYTES:
+                if total <= EVICTION_TARGET_SHARE * MAX_BYTES:
                     return
 
     def _warn(self, problem: str) -> None:

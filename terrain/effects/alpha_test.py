@@ -10,7 +10,7 @@ from skugga.terrain.effects.effect import Effect, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact
-from skugga.terrain.gbuffer.covered_nodes import drawn_view
+from skugga.terrain.gbuffer.supersampling import supersampled_view
 from skugga.terrain.gbuffer.tree_instances import map_draws_trees, tree_instances_in_perspective
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -33,7 +33,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """Return the fact ``drawn``: whether the view still draws any tree after it decimates small ones."""
     if scene.objects.trees is None:
         return {}
-    drawn = drawn_view(scene, view)
+    drawn = supersampled_view(scene, view)
     if isinstance(drawn, MapView):
         pixel_m = map_pixel_m(scene.world, drawn)
         return {"drawn": map_draws_trees(scene.objects.trees, pixel_m)}

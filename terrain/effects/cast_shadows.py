@@ -19,14 +19,14 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.casters.slopes import Corridor, above_mesh, above_slopes, grid_slopes, node_count
+from skugga.terrain.casters.slopes import Corridor, facing_range_of_mesh, facing_range_of_slopes, node_count, slope_support
 from skugga.terrain.compiled import compiled
 from skugga.terrain.effects.effect import Effect, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact, number
-from skugga.terrain.gbuffer.covered_nodes import drawn_view
 from skugga.terrain.gbuffer.ground_mesh import ground_mesh
+from skugga.terrain.gbuffer.supersampling import supersampled_view
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
@@ -47,7 +47,7 @@ MAX_TREES_TESTED = 2000
 MASK_CELLS = 128
 """Number of cells along each side of the depth grid in which visible points are compared with possible occluders."""
 
-DISC_GRAZING = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
+DISC_TOLERANCE = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
 """Tolerance of the test whether a facet faces the sun: the sine of the sun's angular radius, and a margin for float32 normals.
 
 A facet whose plane is closer than this to the centre of the sun may cut the disc. The value has to be multiplied by the length of
@@ -63,7 +63,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     lamps = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
     if not lamps:
         return sun
-    if not can_cast(descriptor):
+    if not has_casters(descriptor):
         return Verdict(False, "flat ground without objects: nothing can cast a shadow")
     return Verdict(True, f"casters in the light of {', '.join(lamps)}")
 
@@ -74,9 +74,9 @@ def sun_verdict(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level has no sun")
     if descriptor.highest_sun_deg <= 0.0:
         return Verdict(False, f"night: the sun is at most {descriptor.highest_sun_deg:.1f} degrees high anywhere in the level")
-    if descriptor.weather.overcast:
+    if descriptor.weather.is_overcast:
         return Verdict(False, "overcast: no direct sunlight")
-    if not can_cast(descriptor):
+    if not has_casters(descriptor):
         return Verdict(False, "flat ground without objects: nothing can cast a shadow")
     kinds = [kind for kind in descriptor.casters if sun_kind_verdict(descriptor, kind).called_for]
     if not kinds:
@@ -94,27 +94,27 @@ def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
         return Verdict(False, f"{kind} cannot cast shadows into the view")
     if descriptor.relief_m <= 0.0:
         return Verdict(False, "level ground casts no shadow")
-    least, most = number(facts.get("least_slope")), number(facts.get("most_slope"))
-    grazing = _grazing(descriptor.sun_altitude_deg or 0.0)
-    if least == np.inf:
+    min_excess, max_excess = number(facts.get("least_slope")), number(facts.get("most_slope"))
+    tolerance = _facing_tolerance(descriptor.sun_altitude_deg or 0.0)
+    if min_excess == np.inf:
         return Verdict(False, "no ground between the view and the sun")
-    if least is not None and least > grazing:
+    if min_excess is not None and min_excess > tolerance:
         return Verdict(
-            False, f"no slope is steeper than the sun's rays: per metre, the steepest rises {least:.2g} m less than the rays"
+            False, f"no slope is steeper than the sun's rays: per metre, the steepest rises {min_excess:.2g} m less than the rays"
         )
-    bare = not any(facts.get(other, True) for other in descriptor.casters if other != "relief")
-    if most is not None and most < -grazing and bare:
+    is_terrain_only = not any(facts.get(other, True) for other in descriptor.casters if other != "relief")
+    if max_excess is not None and max_excess < -tolerance and is_terrain_only:
         return Verdict(
-            False, f"all ground faces away from the sun: it falls at least {-most:.2g} per metre more steeply than the rays"
+            False, f"all ground faces away from the sun: it falls at least {-max_excess:.2g} per metre more steeply than the rays"
         )
     return Verdict(True, f"some slopes are steeper than the sun's rays ({descriptor.relief_m:.0f} m of relief)")
 
 
-def _grazing(altitude_deg: float) -> float:
-    return DISC_GRAZING / max(float(np.cos(np.radians(altitude_deg))), 0.02)
+def _facing_tolerance(altitude_deg: float) -> float:
+    return DISC_TOLERANCE / max(float(np.cos(np.radians(altitude_deg))), 0.02)
 
 
-def can_cast(descriptor: Descriptor) -> bool:
+def has_casters(descriptor: Descriptor) -> bool:
     """Return whether the scene has any casters: relief, or objects on the ground."""
     return descriptor.relief_m > 0.0 or any(kind != "relief" for kind in descriptor.casters)
 
@@ -131,7 +131,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     least, most = _slopes_under_sun(scene, view, coarse_view)
     found: dict[str, Fact] = {"least_slope": least, "most_slope": most}
     if coarse_view is not None and isinstance(view, PerspectiveView):
-        found |= {kind: _stands_before(scene, view, kind, coarse_view) for kind in scene.objects.kinds if kind != "relief"}
+        found |= {kind: _can_occlude_view(scene, view, kind, coarse_view) for kind in scene.objects.kinds if kind != "relief"}
     return found
 
 
@@ -145,22 +145,22 @@ def _slopes_under_sun(
     if isinstance(view, PerspectiveView):
         assert coarse_view is not None
         ground, frame = ground_mesh(scene, view), coarse_view.buffer.frame
-        return above_mesh(scene.world, ground, frame, _corridor(scene, view, coarse_view), to_sun)
-    drawn = drawn_view(scene, view)  # shadows of a coarse map are computed on finer ground
+        return facing_range_of_mesh(scene.world, ground, frame, _corridor(scene, view, coarse_view), to_sun)
+    drawn = supersampled_view(scene, view)  # shadows of a coarse map are computed on finer ground
     assert isinstance(drawn, MapView)
     grid = drawn.grid
     nodes = node_count(scene.world, scene.elevation, grid)
-    coarser = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
-    least, most = above_slopes(grid_slopes(scene.world, scene.elevation, grid.coarser(coarser)), to_sun)
-    if coarser == 0 or (least is not None and most is not None and least <= 0.0 and most >= 0.0):
-        return least, most
+    halvings = max(int(np.ceil(np.log2(max(nodes / COARSE_NODES, 1.0)) / 2.0)), 0)
+    min_excess, max_excess = facing_range_of_slopes(slope_support(scene.world, scene.elevation, grid.coarser(halvings)), to_sun)
+    if halvings == 0 or (min_excess is not None and max_excess is not None and min_excess <= 0.0 and max_excess >= 0.0):
+        return min_excess, max_excess
     if nodes > MOST_NODES:
         return None, None
-    return above_slopes(grid_slopes(scene.world, scene.elevation, grid), to_sun)
+    return facing_range_of_slopes(slope_support(scene.world, scene.elevation, grid), to_sun)
 
 
 @cached("scene", 256 * MIB)
-def trees_seen(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView) -> tuple[TreeInstances | None, bool]:
+def find_visible_trees(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView) -> tuple[TreeInstances | None, bool]:
     """Return the trees around the eye, and whether any of them may be in view."""
     stand = tree_instances_in_perspective(objects, coarse_view.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is None:
@@ -168,10 +168,10 @@ def trees_seen(objects: SceneObjects, view: PerspectiveView, coarse_view: Coarse
     eye, camera_from_frame = view.in_frame(coarse_view.buffer.frame)
     ends = [[start - view.step, start + count * view.step] for start, count in ((view.col0, view.cols), (view.row0, view.rows))]
     tangents = np.array(ends) / view.focal_px
-    near = stand.in_cone(eye, camera_from_frame, tangents)
+    near = stand.in_frustum(eye, camera_from_frame, tangents)
     if not 0 < len(near) <= MAX_TREES_TESTED:
         return stand, len(near) > 0
-    in_camera = (stand.some(near).outlines() - eye) @ camera_from_frame.T
+    in_camera = (stand.select(near).outlines() - eye) @ camera_from_frame.T
     # A tree is outside of the view frustum if it lies entirely beyond one of its sides.
     beyond = [
         side * (in_camera[..., k] - tangents[k, end] * in_camera[..., 2]) > 0.0
@@ -182,18 +182,18 @@ def trees_seen(objects: SceneObjects, view: PerspectiveView, coarse_view: Coarse
     return stand, not outside.all()
 
 
-def _seen_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
+def _sample_radius_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
     """Return the radius of the unsampled surroundings of each point of a coarse view (n,), metres.
 
     It is the spacing of the samples, plus the height of the tallest object if trees are in view.
     """
-    return coarse_view.away_m * coarse_view.spacing + (
-        scene.objects.tallest_m if trees_seen(scene.objects, view, coarse_view)[1] else 0.0
+    return coarse_view.distance_m * coarse_view.spacing + (
+        scene.objects.tallest_m if find_visible_trees(scene.objects, view, coarse_view)[1] else 0.0
     )
 
 
 def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> Corridor:
-    """Return the part of the frame between the visible points and the sun, for ``above_mesh``.
+    """Return the part of the frame between the visible points and the sun, for ``facing_range_of_mesh``.
 
     Its two coordinates are those to the right of the light and towards the sun.
     """
@@ -201,7 +201,7 @@ def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> C
     rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
     rows = np.stack([rotation[0], scene.light.towards_sun_m(rotation.T)])
     offsets = np.array([translation[0], scene.light.towards_sun_m(translation)])
-    in_light, slack = coarse_view.points_frame_m @ rows.T + offsets, _seen_m(scene, view, coarse_view)[:, None]
+    in_light, slack = coarse_view.points_frame_m @ rows.T + offsets, _sample_radius_m(scene, view, coarse_view)[:, None]
     low, high = (
         ((in_light - slack).min(axis=0), (in_light + slack).max(axis=0))
         if len(in_light)
@@ -210,28 +210,34 @@ def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> C
     return rows, offsets, np.array([[low[0], high[0]], [low[1], np.inf]])
 
 
-def _stands_before(scene: Scene, view: PerspectiveView, kind: str, coarse_view: CoarseView) -> bool:
+def _can_occlude_view(scene: Scene, view: PerspectiveView, kind: str, coarse_view: CoarseView) -> bool:
     """Return whether trees or meshes occlude a visible surface from the sun. Trees that are in view count as occluders."""
     assert scene.light is not None
     objects, frame = scene.objects, coarse_view.buffer.frame
     if kind == "meshes":
         first, last = _boxes_of_meshes(objects, scene.light)
     else:
-        stand, seen = trees_seen(scene.objects, view, coarse_view)
+        stand, seen = find_visible_trees(scene.objects, view, coarse_view)
         if stand is None or seen:
             return seen
         rotation, translation = scene.light.from_frame(frame)
         points = coarse_view.points_frame_m @ rotation.T + translation
-        slack = _seen_m(scene, view, coarse_view)[:, None]
+        slack = _sample_radius_m(scene, view, coarse_view)[:, None]
         low, high = ((points - slack).min(axis=0), (points + slack).max(axis=0)) if len(points) else (np.ones(3), np.zeros(3))
-        before = stand.reaching(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
-        if not 0 < len(before) <= MAX_TREES_TESTED:
-            return len(before) > 0
-        in_light = stand.some(before).outlines() @ rotation.T + translation
+        candidates = stand.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
+        if not 0 < len(candidates) <= MAX_TREES_TESTED:
+            return len(candidates) > 0
+        in_light = stand.select(candidates).outlines() @ rotation.T + translation
         first, last = (end.reshape(-1, 3) for end in (in_light.min(axis=2), in_light.max(axis=2)))
     rotation, translation = scene.light.from_frame(frame)
     return bool(
-        _hide(first, last, coarse_view.points_frame_m @ rotation.T + translation, _seen_m(scene, view, coarse_view), MASK_CELLS)
+        _any_occludes(
+            first,
+            last,
+            coarse_view.points_frame_m @ rotation.T + translation,
+            _sample_radius_m(scene, view, coarse_view),
+            MASK_CELLS,
+        )
     )
 
 
@@ -254,7 +260,7 @@ def _boxes(points, triangles):
 
 
 @compiled
-def _hide(first, last, points, slack, cells):
+def _any_occludes(first, last, points, slack, cells):
     """Return whether any box occludes any point, in light space.
 
     Boxes extend from ``first`` to ``last`` (n, 3). Points (m, 3) have a tolerance ``slack`` (m,). The test draws the points into a

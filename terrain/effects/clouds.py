@@ -25,12 +25,12 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.noise import OCTAVE_GAIN, noise_at
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
-from skugga.terrain.interpolation_loops import smoothstep_of
+from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of, night_of
 from skugga.terrain.shading_loops import dusk_of
 
-LAYER_M, CLEARANCE_M = 1500.0, 500.0
+CLOUD_HEIGHT_M, CLEARANCE_M = 1500.0, 500.0
 """Height of the clouds above the level's mean ground, and their minimum height above its highest ground."""
 
 DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
@@ -39,13 +39,13 @@ DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)
 LOWEST_SINE = np.sin(np.radians(5.0))
 """Lower bound of the sine of the sun's altitude in the projection. Without it the shadows would race at sunset."""
 
-WIDEST_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
+COARSEST_WAVE_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
 """Wavelength of the coarsest octave, number of octaves, seed. The finest octave has a wavelength of 250 m."""
 
 CLOUD_EDGE_WIDTH = 0.26
 """Difference of the noise between the edge of a cloud and its densest part."""
 
-THROUGH = 0.25
+CLOUD_TRANSMITTANCE = 0.25
 """Transmittance of the densest cloud under a broken sky."""
 
 MAX_NOISE, MAX_NOISE_SLOPE = 0.756, 2.32
@@ -55,9 +55,9 @@ NOISE_BOUND = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAI
 """Upper bound of the sum of all octaves."""
 
 FADE = 1 / 16, 1 / 2
-"""Pixel sizes, as shares of ``WIDEST_M``, between which clouds fade into their mean density."""
+"""Pixel sizes, as shares of ``COARSEST_WAVE_M``, between which clouds fade into their mean density."""
 
-UNSEEN = 0.008
+INVISIBLE_SHARE = 0.008
 """Largest share of a point's light whose loss is not visible.
 
 Light that loses a share ``a`` loses ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``, of its sRGB code. The code is at most 1.055 with
@@ -65,13 +65,13 @@ its offset. It loses even less in the linear part near black, and in the shoulde
 step of 1/255 for ``a`` = 0.0089. The difference to the value here allows for the 4096 steps of the encoding table.
 """
 
-SEEN_LEAST = 0.25
+MIN_SKY_SHARE = 0.25
 """Lower bound of the share of sky light on a face towards a sun at the horizon.
 
 An upright face receives half of the sky. An overhanging face receives less, but is darker, too.
 """
 
-MAX_PLACES = 2**17
+MAX_EVALUATIONS = 2**17
 """Maximum number of evaluations in the search for the densest cloud. An undecided search counts as full density."""
 
 
@@ -84,7 +84,7 @@ class CloudLayer(NamedTuple):
         Share of the sky that clouds cover.
     threshold
         Value of the noise in the middle of a cloud's edge.
-    most
+    max_opacity
         Share of the direct sunlight that the densest cloud blocks.
     height_m
         Height of the layer, metres.
@@ -98,7 +98,7 @@ class CloudLayer(NamedTuple):
 
     cover: float
     threshold: float
-    most: float
+    max_opacity: float
     height_m: float
     to_sun_anchor: np.ndarray
     centre_anchor_m: np.ndarray
@@ -115,8 +115,8 @@ def cloud_layer_of(scene: Scene) -> CloudLayer:
     assert scene.sun is not None
     centre = np.array([0.0, 0.0, -1e12]) if world.flat else -anchor_from_earth @ world.anchor_earth_m
     return CloudLayer(
-        cover, threshold_of(cover), 1.0 - THROUGH * (1.0 - cover**4),
-        max(_mean_height_m(scene.elevation) + LAYER_M, scene.height_range_m[1] + CLEARANCE_M),
+        cover, threshold_of(cover), 1.0 - CLOUD_TRANSMITTANCE * (1.0 - cover**4),
+        max(_mean_height_m(scene.elevation) + CLOUD_HEIGHT_M, scene.height_range_m[1] + CLEARANCE_M),
         anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.seconds * np.array(DRIFT_M_PER_S),
     )  # fmt: skip
 
@@ -146,7 +146,7 @@ def _noise_on(x):
     out = np.empty(x.size * x.size)
     for i in range(x.size):
         for j in range(x.size):
-            out[i * x.size + j] = _noise(x[j] * WIDEST_M, x[i] * WIDEST_M, -np.inf, np.inf)
+            out[i * x.size + j] = _noise(x[j] * COARSEST_WAVE_M, x[i] * COARSEST_WAVE_M, -np.inf, np.inf)
     return out
 
 
@@ -157,13 +157,13 @@ def _noise(x_m, y_m, low, high):
     The sum stops early if the remaining octaves cannot bring it back above ``low`` or below ``high``.
     """
     # The lattice is rotated, and each octave again by the angle of the 3-4-5 triangle, as in ``skugga.terrain.ground.noise``.
-    x, y = (0.6 * x_m - 0.8 * y_m) / WIDEST_M, (0.8 * x_m + 0.6 * y_m) / WIDEST_M
+    x, y = (0.6 * x_m - 0.8 * y_m) / COARSEST_WAVE_M, (0.8 * x_m + 0.6 * y_m) / COARSEST_WAVE_M
     total, amplitude = 0.0, 1.0
     for k in range(CLOUD_OCTAVES):
         total += amplitude * noise_at(x, y, CLOUD_SEED + k)
         amplitude *= OCTAVE_GAIN
-        left = NOISE_BOUND - MAX_NOISE * (1.0 - amplitude) / (1.0 - OCTAVE_GAIN)
-        if total + left < low or total - left > high:
+        remaining = NOISE_BOUND - MAX_NOISE * (1.0 - amplitude) / (1.0 - OCTAVE_GAIN)
+        if total + remaining < low or total - remaining > high:
             break
         x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
     return total
@@ -177,11 +177,11 @@ def density_at(x_m, y_m, threshold):
 
 @compiled
 def _density(noise, threshold):
-    return smoothstep_of((noise - threshold) / CLOUD_EDGE_WIDTH + 0.5)
+    return smoothstep_value((noise - threshold) / CLOUD_EDGE_WIDTH + 0.5)
 
 
 @internal
-def _place(x, y, z, height, layer_m, to_sun, centre, drift):
+def _layer_position(x, y, z, height, layer_m, to_sun, centre, drift):
     """Return the intersection of a point's ray to the sun with the layer: metres east and north of the anchor, minus the drift."""
     ux, uy, uz = x - centre[0], y - centre[1], z - centre[2]
     sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)
@@ -191,7 +191,7 @@ def _place(x, y, z, height, layer_m, to_sun, centre, drift):
 
 @compiled
 def _fade(pixel_m):
-    return min(max((pixel_m / WIDEST_M - FADE[0]) / (FADE[1] - FADE[0]), 0.0), 1.0)
+    return min(max((pixel_m / COARSEST_WAVE_M - FADE[0]) / (FADE[1] - FADE[0]), 0.0), 1.0)
 
 
 def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
@@ -199,14 +199,16 @@ def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
     buffer, scene = block.buffer, block.scene
     if scene.sun is None:
         return
-    _shade_clouds(sunlight, buffer.shown, scene.world.anchor_from_frame(buffer.frame), cloud_layer_of(scene), pixel_size(block))
+    _shade_clouds(
+        sunlight, buffer.shading_inputs, scene.world.anchor_from_frame(buffer.frame), cloud_layer_of(scene), pixel_size(block)
+    )
 
 
 @compiled
-def _shade_clouds(sunlight, shown, anchor_from_frame, layer, size):
-    there, _, position, height, _ = shown
+def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
+    there, _, position, height, _ = shading_inputs
     rotation, origin = anchor_from_frame
-    cover, threshold, most, layer_m, to_sun, centre, drift = layer
+    cover, threshold, max_opacity, layer_m, to_sun, centre, drift = layer
     eye, spread, pixel_m = size
     fade = _fade(pixel_m)
     for i in range(there.shape[0]):
@@ -222,9 +224,9 @@ def _shade_clouds(sunlight, shown, anchor_from_frame, layer, size):
             z = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + origin[2]
             density = cover * fade
             if fade < 1.0:
-                x, y = _place(x, y, z, height[i, j], layer_m, to_sun, centre, drift)
+                x, y = _layer_position(x, y, z, height[i, j], layer_m, to_sun, centre, drift)
                 density += (1.0 - fade) * density_at(x, y, threshold)
-            sunlight[i, j] *= 1.0 - most * density
+            sunlight[i, j] *= 1.0 - max_opacity * density
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
@@ -242,7 +244,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     taken_share = number(facts["taken"])
     if taken_share is None:
         return Verdict(True, f"cloud cover {cover:.3g}")
-    if taken_share <= UNSEEN:
+    if taken_share <= INVISIBLE_SHARE:
         return Verdict(
             False, f"cloud cover {cover:.3g}: clouds block at most {taken_share:.1%} of the light on any visible surface"
         )
@@ -267,12 +269,12 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         nearest = farthest = _fade(map_pixel_m(scene.world, view))
     else:
         assert isinstance(view, PerspectiveView)
-        away_m = coarse_view.away_m if len(coarse_view.away_m) else np.zeros(1)
-        boxes = _boxes_of_look(scene, layer, coarse_view)
-        nearest, farthest = (_fade(view.pixel * float(m)) for m in (away_m.min(), away_m.max()))
-    densest = max((_densest(*box, layer.threshold) for box in boxes), default=0.0)
+        distance_m = coarse_view.distance_m if len(coarse_view.distance_m) else np.zeros(1)
+        boxes = _boxes_of_coarse_view(scene, layer, coarse_view)
+        nearest, farthest = (_fade(view.pixel * float(m)) for m in (distance_m.min(), distance_m.max()))
+    densest = max((_max_density(*box, layer.threshold) for box in boxes), default=0.0)
     density = max((1.0 - fade) * densest + fade * cover for fade in (nearest, farthest)) if boxes else 0.0
-    return {"cover": cover, "taken": float(direct * layer.most * density)}
+    return {"cover": cover, "taken": float(direct * layer.max_opacity * density)}
 
 
 def _direct_share(scene: Scene) -> float:
@@ -286,7 +288,7 @@ def _direct_share(scene: Scene) -> float:
     low, high = scene.height_range_m
     bare = low == high and scene.objects.kinds == ("relief",)
     direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
-    sky = light.sky * (night + (1.0 - night) * float(dusk_of(sine))) * (1.0 if bare else SEEN_LEAST)
+    sky = light.sky * (night + (1.0 - night) * float(dusk_of(sine))) * (1.0 if bare else MIN_SKY_SHARE)
     sky = sky * (1.0 - scene.style.sky_greying)  # greying takes this share from a pure red, green or blue
     return float((direct / (direct + sky)).max())
 
@@ -302,29 +304,29 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
     low, high = scene.height_range_m
     heights = np.repeat([low, high + scene.objects.tallest_m], len(point))
     points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m
-    places = _places(points @ scene.world.earth_from_anchor, heights, layer)
+    places = _layer_positions(points @ scene.world.earth_from_anchor, heights, layer)
     # The margin allows for meridians that curve between the points.
     return _box(places, 0.001 * np.ptp(places[np.isfinite(places).all(axis=1)], axis=0).max())
 
 
-def _boxes_of_look(scene: Scene, layer: CloudLayer, coarse_view: CoarseView) -> list[CloudBounds]:
+def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseView) -> list[CloudBounds]:
     """Return bounds of the cloud layer between the sun and the visible points of a perspective view.
 
     Each box covers two neighbouring octaves of distance, so that the boxes also cover the surface between the samples. If the sky
     is visible, the boxes extend a quarter beyond the farthest points.
     """
     rotation, origin_m = scene.world.anchor_from_frame(coarse_view.buffer.frame)
-    points, away_m, height_m = coarse_view.points_frame_m, coarse_view.away_m, coarse_view.height_m
+    points, distance_m, height_m = coarse_view.points_frame_m, coarse_view.distance_m, coarse_view.height_m
     if not coarse_view.buffer.there.all():
-        far = away_m > away_m.max(initial=0.0) / 1.25
+        far = distance_m > distance_m.max(initial=0.0) / 1.25
         points = np.concatenate([points, 1.25 * points[far] - 0.25 * coarse_view.eye_frame_m])
-        away_m, height_m = np.concatenate([away_m, 1.25 * away_m[far]]), np.concatenate([height_m, height_m[far]])
-    places = _places(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
-    octave = np.ceil(np.log2(np.maximum(away_m, 1.0)))
-    stood_m = _unseen_rise_m(scene, coarse_view) / max(layer.to_sun_anchor[2], LOWEST_SINE)
-    found, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, full_cell_range(scene.elevation)), []
-    for near, far in pairwise(found) if len(found) > 1 else zip(found, found, strict=True):
-        west, east, south, north = _box(places[(octave == near) | (octave == far)], coarse_view.spacing * 2.0**far + stood_m)
+        distance_m, height_m = np.concatenate([distance_m, 1.25 * distance_m[far]]), np.concatenate([height_m, height_m[far]])
+    places = _layer_positions(points @ rotation.T + origin_m, height_m.astype(np.float64), layer)
+    octave = np.ceil(np.log2(np.maximum(distance_m, 1.0)))
+    rise_m = _unseen_rise_m(scene, coarse_view) / max(layer.to_sun_anchor[2], LOWEST_SINE)
+    octaves, bounds, boxes = np.unique(octave), _box_of_cells(scene, layer, full_cell_range(scene.elevation)), []
+    for near, far in pairwise(octaves) if len(octaves) > 1 else zip(octaves, octaves, strict=True):
+        west, east, south, north = _box(places[(octave == near) | (octave == far)], coarse_view.spacing * 2.0**far + rise_m)
         box = max(west, bounds[0]), min(east, bounds[1]), max(south, bounds[2]), min(north, bounds[3])
         if box[0] <= box[1] and box[2] <= box[3]:
             boxes.append(box)
@@ -344,40 +346,42 @@ def _box(places: np.ndarray, margin_m: float) -> CloudBounds:
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def _places(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: CloudLayer) -> np.ndarray:
+def _layer_positions(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: CloudLayer) -> np.ndarray:
     """Return the positions (n, 2) in the cloud layer between points (n, 3) and the sun, metres."""
-    return _all_places(points_anchor_m, height_m, layer.height_m, layer.to_sun_anchor, layer.centre_anchor_m, layer.drift_m)
+    return _positions_of_points(
+        points_anchor_m, height_m, layer.height_m, layer.to_sun_anchor, layer.centre_anchor_m, layer.drift_m
+    )
 
 
 @compiled
-def _all_places(points, height, layer_m, to_sun, centre, drift):
+def _positions_of_points(points, height, layer_m, to_sun, centre, drift):
     out = np.empty((len(points), 2))
     for n in range(len(points)):
         p = points[n]
-        out[n, 0], out[n, 1] = _place(p[0], p[1], p[2], height[n], layer_m, to_sun, centre, drift)
+        out[n, 0], out[n, 1] = _layer_position(p[0], p[1], p[2], height[n], layer_m, to_sun, centre, drift)
     return out
 
 
 @cached("process", MIB)
-def _densest(west: float, east: float, south: float, north: float, threshold: float) -> float:
+def _max_density(west: float, east: float, south: float, north: float, threshold: float) -> float:
     """Return an upper bound of the cloud density in a box."""
     return float(
         _density(
-            _largest(west, east, south, north, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
+            _max_noise(west, east, south, north, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
         )
     )
 
 
 @compiled
-def _largest(west, east, south, north, low, high):
+def _max_noise(west, east, south, north, low, high):
     """Return an upper bound of the noise in a box, clamped to ``low`` and ``high``, by branch and bound.
 
     A cell is discarded if its centre value plus the maximum slope to its corners stays below the best value so far. Other cells are
     split into four, down to a radius of one metre.
     """
-    rows, cols = int((north - south) / (WIDEST_M / 8.0)) + 1, int((east - west) / (WIDEST_M / 8.0)) + 1
+    rows, cols = int((north - south) / (COARSEST_WAVE_M / 8.0)) + 1, int((east - west) / (COARSEST_WAVE_M / 8.0)) + 1
     cells = np.empty((256, 4))
-    best, looked = low, 0
+    best, evaluations = low, 0
     for i in range(rows):
         for j in range(cols):
             half_x, half_y = (east - west) / cols / 2.0, (north - south) / rows / 2.0
@@ -389,17 +393,17 @@ def _largest(west, east, south, north, low, high):
                 x, y, half_x, half_y = cells[count, 0], cells[count, 1], cells[count, 2], cells[count, 3]
                 value = _noise(x, y, -np.inf, np.inf)
                 radius = np.sqrt(half_x * half_x + half_y * half_y)
-                above, amplitude, wave_m = 0.0, 1.0, WIDEST_M
+                max_rise, amplitude, wave_m = 0.0, 1.0, COARSEST_WAVE_M
                 for _ in range(CLOUD_OCTAVES):
-                    above += amplitude * min(MAX_NOISE_SLOPE * radius / wave_m, 2.0 * MAX_NOISE)
+                    max_rise += amplitude * min(MAX_NOISE_SLOPE * radius / wave_m, 2.0 * MAX_NOISE)
                     amplitude, wave_m = amplitude * OCTAVE_GAIN, wave_m / 2.0
-                best, looked = max(best, value), looked + 1
-                if best >= high or looked > MAX_PLACES:
+                best, evaluations = max(best, value), evaluations + 1
+                if best >= high or evaluations > MAX_EVALUATIONS:
                     return high
-                if value + above <= best:
+                if value + max_rise <= best:
                     continue
                 if radius < 1.0:
-                    best = value + above
+                    best = value + max_rise
                     continue
                 for quarter in range(4):
                     cells[count, 0] = x + (quarter % 2 - 0.5) * half_x

@@ -5,7 +5,7 @@ no cross. These shadows would draw a sharp line down each crown, and streaks und
 and around the leaves from all directions. Much of it is left behind one layer of leaves: a leaf transmits about a tenth of green
 light and scatters as much, and the rest passes through the gaps.
 
-On foliage only, the share ``THROUGH_LEAVES`` of the sunlight therefore passes other foliage. Ground and meshes block all of it; a
+On foliage only, the share ``LEAF_TRANSMITTANCE`` of the sunlight therefore passes other foliage. Ground and meshes block all of it; a
 ray from the point to the sun finds them. The crown gets its shape from its normals (``skugga.terrain.gbuffer.resolve``) and its
 grain from the textures.
 
@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.terrain.compiled import compiled, in_shares
-from skugga.terrain.effects.cast_shadows import trees_seen
+from skugga.terrain.compiled import compiled, run_in_chunks
+from skugga.terrain.effects.cast_shadows import find_visible_trees
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
 from skugga.terrain.effects.haze import trees_in_view
 from skugga.terrain.facts.coarse_view import CoarseView
@@ -32,7 +32,7 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of
 
-THROUGH_LEAVES = 0.65
+LEAF_TRANSMITTANCE = 0.65
 """Share of the sunlight that reaches leaves behind other leaves."""
 
 CELL_M = 2.0
@@ -41,7 +41,7 @@ CELL_M = 2.0
 CELL_TANGENT = 0.004
 """Angle of a cell as seen from the eye, as a tangent. Distant cells are enlarged to about this angle."""
 
-PLACE_BITS = 18
+CELL_INDEX_BITS = 18
 """Number of bits of a cell's index along each axis. Indices wrap around beyond that."""
 
 
@@ -67,7 +67,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         return {"trees": 0, "sunlit": scene.sun_is_up}
     stand, near = trees_in_view(scene, view, coarse_view.buffer.frame)
     sunlit = scene.sun_is_up and bool(daylight_of(scene).sun.any())
-    seen = stand is not None and trees_seen(scene.objects, view, coarse_view)[1]
+    seen = stand is not None and find_visible_trees(scene.objects, view, coarse_view)[1]
     return {"trees": len(near) if seen else 0, "sunlit": sunlit}
 
 
@@ -80,18 +80,18 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
     if not len(pixels):
         return
     points, key = buffer.position_frame_m.reshape(-1, 3), np.empty(len(pixels), np.int64)
-    in_shares(len(pixels), _cells, points, pixels, block.view.in_frame(buffer.frame)[0], key)
+    run_in_chunks(len(pixels), _cells, points, pixels, block.view.in_frame(buffer.frame)[0], key)
     keys, first, cell = np.unique(key, return_index=True, return_inverse=True)
     # Rays start at the centre of a cell, so that the result does not depend on the origin of the picture.
-    wide = CELL_M * 2.0 ** (keys >> 3 * PLACE_BITS)[:, None]
+    wide = CELL_M * 2.0 ** (keys >> 3 * CELL_INDEX_BITS)[:, None]
     start, to_sun = (np.floor(points[pixels[first]] / wide) + 0.5) * wide, scene.sun.in_frame(buffer.frame)
     hidden = hidden_by_relief(scene.world, scene.elevation, buffer.frame, start, to_sun)
     if scene.objects.solids is not None:
-        away_m, _ = first_mesh_hits(
+        distance_m, _ = first_mesh_hits(
             scene.objects, buffer.frame, start, np.broadcast_to(to_sun, start.shape), np.full(len(start), np.inf)
         )  # fmt: skip
-        hidden |= np.isfinite(away_m)
-    in_shares(len(pixels), _let_through, sunlight, pixels, hidden, cell.reshape(-1), np.float32(THROUGH_LEAVES))
+        hidden |= np.isfinite(distance_m)
+    run_in_chunks(len(pixels), _transmit, sunlight, pixels, hidden, cell.reshape(-1), np.float32(LEAF_TRANSMITTANCE))
 
 
 @compiled
@@ -100,17 +100,17 @@ def _cells(first, last, points, pixels, eye, key):
     for n in range(first, last):
         p = points[pixels[n]]
         x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-        away_m, doubled, wide = np.sqrt(x * x + y * y + z * z), 0, CELL_M
-        while wide < away_m * CELL_TANGENT:
+        distance_m, doubled, wide = np.sqrt(x * x + y * y + z * z), 0, CELL_M
+        while wide < distance_m * CELL_TANGENT:
             doubled, wide = doubled + 1, 2.0 * wide
         number = doubled
         for k in range(3):
-            number = number << PLACE_BITS | np.int64(np.floor(p[k] / wide)) & (1 << PLACE_BITS) - 1
+            number = number << CELL_INDEX_BITS | np.int64(np.floor(p[k] / wide)) & (1 << CELL_INDEX_BITS) - 1
         key[n] = number
 
 
 @compiled
-def _let_through(first, last, sunlight, pixels, hidden, cell, share):
+def _transmit(first, last, sunlight, pixels, hidden, cell, share):
     for n in range(first, last):
         if not hidden[cell[n]]:
             row, col = divmod(pixels[n], sunlight.shape[1])

@@ -8,7 +8,7 @@ two (the Nyquist limit). The size is the width of a pixel at its distance, divid
 normal. Distant ground therefore keeps its plain tint. Maps are mostly coarser than all wavelengths and have no detail at all.
 
 **Visibility.** If a linear colour c is multiplied by 1 + s, its code k changes by s c / (dc/dk). With the slope of sRGB this is at
-most 2.4 s / 255 of a code, on white. Below ``SHOWS`` no code changes by more than a step.
+most 2.4 s / 255 of a code, on white. Below ``INVISIBLE_CHANGE`` no code changes by more than a step.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
@@ -40,7 +40,7 @@ HUE = (0.55, 0.0, -0.85)
 HUE_WAVES = 3
 """Number of waves that change the hue, longest first."""
 
-PAVED = 0.45
+FLAT_GROUND_FACTOR = 0.45
 """Factor of all amplitudes on level ground without tints, for example a floor or a square."""
 
 DETAIL_SEED = 71
@@ -54,7 +54,7 @@ TURN = (0.8, 0.6)
 GRAZING_COSINE = 0.02
 """Lower bound of the cosine between the view and the ground's normal."""
 
-SHOWS = CHANNEL_STEP / 0.45
+INVISIBLE_CHANGE = CHANNEL_STEP / 0.45
 """Largest relative change of the albedo that changes no colour by more than one of 255."""
 
 WAVE_RUN = 256
@@ -73,7 +73,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
     nearest_m, share = number(facts["nearest_m"]), number(facts["share"])
     if nearest_m is None or share is None:
         return Verdict(False, "no ground is in view")
-    if share <= SHOWS:
+    if share <= INVISIBLE_CHANGE:
         return Verdict(False, f"the nearest ground is {nearest_m:.0f} m away, where pixels are as wide as its patches")
     return Verdict(True, f"ground {nearest_m:.1f} m away shows patches and tufts: up to {100.0 * share:.0f} % of its albedo")
 
@@ -90,20 +90,20 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         return {"draped": draped, "nearest_m": None, "share": None}
     buffer = coarse_view.buffer
     ground = buffer.kind[buffer.there] == RELIEF
-    away_m = coarse_view.away_m[ground]
-    if not len(away_m):
+    distance_m = coarse_view.distance_m[ground]
+    if not len(distance_m):
         return {"draped": draped, "nearest_m": None, "share": None}
-    to_eye = (coarse_view.eye_frame_m - coarse_view.points_frame_m[ground]) / np.maximum(away_m, 1e-9)[:, None]
+    to_eye = (coarse_view.eye_frame_m - coarse_view.points_frame_m[ground]) / np.maximum(distance_m, 1e-9)[:, None]
     facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.there][ground], to_eye))
     # Between two samples a plane may be nearer and seen at a steeper angle: at distance h / c for the cosine c.
     steeper = np.clip(facing + coarse_view.spacing, GRAZING_COSINE, 1.0)
-    wide_m = view.pixel * away_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
-    return {"draped": draped, "nearest_m": float(away_m.min()), "share": largest_share(float(wide_m.min()))}
+    wide_m = view.pixel * distance_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
+    return {"draped": draped, "nearest_m": float(distance_m.min()), "share": largest_share(float(wide_m.min()))}
 
 
 def largest_share(pixel_m: float) -> float:
     """Return an upper bound of the relative change of the albedo for pixels of some size."""
-    shown = [amplitude * _shown(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
+    shown = [amplitude * _visible_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
     return float(MOST_NOISE * (sum(shown) + max(map(abs, HUE)) * sum(shown[:HUE_WAVES])))
 
 
@@ -113,19 +113,21 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
     if isinstance(view, MapView) or scene.loaded.level.terrain.imagery is not None:
         return
     low, high = scene.height_range_m
-    in_shares(len(albedo), _vary, albedo, _detail(buffer, scene, view), 1.0 if high > low else PAVED, np.array(HUE))
+    run_in_chunks(
+        len(albedo), _vary, albedo, _detail(buffer, scene, view), 1.0 if high > low else FLAT_GROUND_FACTOR, np.array(HUE)
+    )
 
 
-def _made_from(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
+def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
     return buffer.position_frame_m, scene.elevation, view.pixel
 
 
-@cached("scene", 128 * MIB, key=_made_from, most=1)
+@cached("scene", 128 * MIB, key=_cache_key, max_entries=1)
 def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.ndarray:
     """Return how much lighter and drier the ground is, shape (rows, cols, 2), float64. It does not depend on the sun."""
     out = np.zeros((*buffer.there.shape, 2))
-    in_shares(
-        len(out), _waves_on, buffer.shown, scene.world.anchor_from_frame(buffer.frame), scene.elevation.water_m + SHORE_M,
+    run_in_chunks(
+        len(out), _compute_waves, buffer.shading_inputs, scene.world.anchor_from_frame(buffer.frame), scene.elevation.water_m + SHORE_M,
         view.in_frame(buffer.frame)[0], view.pixel, _WAVES, out,
     )  # fmt: skip
     return out
@@ -142,15 +144,15 @@ def _vary(first, last, albedo, detail, share, hue):
 
 
 @compiled
-def _shown(wave_m, pixel_m):
+def _visible_share(wave_m, pixel_m):
     """Return the visible share of a wave's amplitude for pixels of some width."""
     return min(max(wave_m / (2.0 * max(pixel_m, 1e-9)) - 1.0, 0.0), 1.0)
 
 
 @compiled
-def _waves_on(first, last, shown, anchor_from_frame, water_m, eye, pixel, waves, out):
+def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye, pixel, waves, out):
     """Compute the detail of some rows, in runs of pixels, with ``noise_along``."""
-    there, kind, position, height, normal = shown
+    there, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     x, y, wide_m = np.empty(WAVE_RUN), np.empty(WAVE_RUN), np.empty(WAVE_RUN)
     column = np.empty(WAVE_RUN, np.int64)
@@ -181,14 +183,14 @@ def _add_waves(x, y, wide_m, waves, column, out):
     finest = wide_m.min()
     for k in range(len(waves)):
         wave = waves[k, 0]
-        if _shown(wave, finest) <= 0.0:
+        if _visible_share(wave, finest) <= 0.0:
             break
         for n in range(x.size):
             x[n], y[n] = TURN[0] * x[n] - TURN[1] * y[n], TURN[1] * x[n] + TURN[0] * y[n]
             along[n], across[n] = x[n] / wave, y[n] / wave
         noise_along(along, across, DETAIL_SEED + k, noise)
         for n in range(x.size):
-            value = _shown(wave, wide_m[n]) * waves[k, 1] * noise[n]
+            value = _visible_share(wave, wide_m[n]) * waves[k, 1] * noise[n]
             out[column[n], 0] += value
             if k < HUE_WAVES:
                 out[column[n], 1] += value

@@ -37,20 +37,20 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact
-from skugga.terrain.gbuffer.picture import solids_in
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
+from skugga.terrain.gbuffer.view_geometry import solid_vertices
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, geodetic
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of
 from skugga.terrain.shading_loops import shoulder
-from skugga.terrain.sky import horizon_colors, passing, sky_colors, sky_of, sunward
+from skugga.terrain.sky import horizon_colors, horizontal_sun_direction, sky_colors, sky_of, transmittances
 from skugga.terrain.srgb import srgb_of_linear
 
 CONTRAST = 0.02
@@ -105,9 +105,9 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         return {"visibility_m": scene.loaded.level.weather.visibility}
     visibility_m = visibility_of(scene, view)
     shows_from_m = _shows_from_m(scene, visibility_m)
-    farthest_m = float(coarse_view.away_m.max(initial=0.0))
+    farthest_m = float(coarse_view.distance_m.max(initial=0.0))
     if farthest_m <= shows_from_m and isinstance(view, PerspectiveView):
-        farthest_m = max(farthest_m, farthest_in_view_m(scene, view, coarse_view))
+        farthest_m = max(farthest_m, max_visible_distance_m(scene, view, coarse_view))
     return {"visibility_m": visibility_m, "farthest_m": farthest_m, "shows_from_m": shows_from_m}
 
 
@@ -134,13 +134,13 @@ def extinctions(visibility_m: float) -> np.ndarray:
     return green + min(green, air[1]) * (air / air[1] - 1.0)
 
 
-def farthest_in_view_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> float:
+def max_visible_distance_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> float:
     """Return an upper bound of the distance of all visible surfaces, metres; 0 if the view shows only sky.
 
     It is the distance of the farthest ground, mesh or tree that intersects the view frustum, hidden or not.
     """
     frame, ground = coarse_view.buffer.frame, coarse_view.buffer.ground
-    eye, _, _, inward = _pyramid(view, frame)
+    eye, _, _, inward = _frustum(view, frame)
     farthest = [farthest_mesh_m(scene, view, frame)]
     if ground is not None:
         farthest.append(_farthest(ground.position_frame_m, ground.triangles, eye, inward))
@@ -156,20 +156,20 @@ def trees_in_view(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> tup
     stand = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is None:
         return None, np.zeros(0, np.int64)
-    eye, camera_from_frame, tangents, _ = _pyramid(view, frame)
-    return stand, stand.in_cone(eye, camera_from_frame, tangents)
+    eye, camera_from_frame, tangents, _ = _frustum(view, frame)
+    return stand, stand.in_frustum(eye, camera_from_frame, tangents)
 
 
 def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> float:
     """Return the distance of the farthest mesh in the view frustum, metres; 0 if there is none."""
-    solids, vertices = scene.objects.solids, solids_in(scene.objects, frame)
+    solids, vertices = scene.objects.solids, solid_vertices(scene.objects, frame)
     if solids is None or vertices is None:
         return 0.0
-    eye, _, _, inward = _pyramid(view, frame)
+    eye, _, _, inward = _frustum(view, frame)
     return float(_farthest(vertices, solids.triangles, eye, inward))
 
 
-def _pyramid(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _frustum(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the view frustum in a frame: eye, rotation to the camera, tangents and planes.
 
     The tangents (2, 2) are the minimum and maximum across and down. The planes have inward normals (5, 3). The frustum is one pixel
@@ -183,7 +183,7 @@ def _pyramid(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.n
     return eye, camera_from_frame, tangents, inward
 
 
-def hides_beyond_m(scene: Scene, view: PerspectiveView) -> float:
+def hiding_distance_m(scene: Scene, view: PerspectiveView) -> float:
     """Return the distance beyond which haze hides the difference between sunlight and shadow, metres.
 
     Beyond it no pixel's colour differs by more than one of 255. The distance is 0 if the sun is down in the whole level.
@@ -191,7 +191,7 @@ def hides_beyond_m(scene: Scene, view: PerspectiveView) -> float:
     if not scene.sun_is_up:
         return 0.0
     darkest = horizon_colors(scene).min(axis=0)
-    shares = [_hiding_share((dark,), (white,)) for dark, white in zip(darkest, _white_in_sun(scene), strict=True)]
+    shares = [_max_hiding_transmittance((dark,), (white,)) for dark, white in zip(darkest, _white_in_sun(scene), strict=True)]
     return float((-np.log(shares) / extinctions(visibility_of(scene, view))).max())
 
 
@@ -206,32 +206,34 @@ def _white_in_sun(scene: Scene) -> np.ndarray:
 def _shows_from_m(scene: Scene, visibility_m: float) -> float:
     """Return the distance up to which haze changes no pixel of any colour by more than one of 255, metres."""
     horizon = horizon_colors(scene)
-    shares = [_showing_share((dark,), (bright,)) for dark, bright in zip(horizon.min(axis=0), horizon.max(axis=0), strict=True)]
+    shares = [
+        _max_invisible_share((dark,), (bright,)) for dark, bright in zip(horizon.min(axis=0), horizon.max(axis=0), strict=True)
+    ]
     return float((-np.log1p(-np.array(shares)) / extinctions(visibility_m)).min())
 
 
 @cached("process", MIB)
-def _hiding_share(horizon: tuple[float, ...], white: tuple[float, ...]) -> float:
+def _max_hiding_transmittance(horizon: tuple[float, ...], white: tuple[float, ...]) -> float:
     """Return the maximum transmittance at which sunlight and shadow still look alike."""
     air = (1.0 - SHARES)[:, None] * np.array(horizon)
     lit = air + SHARES[:, None] * np.array(white)
-    hidden = np.logical_and.reduce([_alike(part * air, part * lit) for part in SAMPLE_SHARES])
+    hidden = np.logical_and.reduce([_look_alike(part * air, part * lit) for part in SAMPLE_SHARES])
     return float(SHARES[hidden].max(initial=SHARES[0]))
 
 
 @cached("process", MIB)
-def _showing_share(darkest: tuple[float, ...], brightest: tuple[float, ...]) -> float:
+def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...]) -> float:
     """Return the maximum share of the horizon's light that is invisible, on black and on white.
 
     The test on black uses the brightest colour of the horizon, the test on white the darkest.
     """
     black = np.zeros((1, len(darkest)))
-    hidden = _alike(black, SHARES[:, None] * brightest)
-    hidden &= _alike(1.0 - SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
+    hidden = _look_alike(black, SHARES[:, None] * brightest)
+    hidden &= _look_alike(1.0 - SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
     return float(SHARES[hidden].max(initial=SHARES[0]))
 
 
-def _alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
+def _look_alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
     """Return whether pairs of colours (n, 3) differ by at most one code for any position in the encoder's bins, bool (n,)."""
     lowest = np.maximum(dark - 0.5 * BIN, 0.5 * BIN)
     bins = np.ceil((bright - dark) / BIN)
@@ -248,19 +250,19 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
     if isinstance(view, MapView):
         return
     eye, _ = view.in_frame(frame)
-    up = eye - scene.world.up_from(frame)
+    up = eye - scene.world.up_origin(frame)
     up /= np.linalg.norm(up)
-    level = np.zeros(3) if scene.sun is None else sunward(scene.sun.in_frame(frame), up)
+    level = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.in_frame(frame), up)
     buffer, air = block.buffer, extinctions(visibility_of(scene, view))
-    in_shares(len(color), _veil, color, buffer.there, buffer.position_frame_m, eye, air, up, level, sky_of(scene))
+    run_in_chunks(len(color), _apply_haze_rows, color, buffer.there, buffer.position_frame_m, eye, air, up, level, sky_of(scene))
 
 
 @compiled
-def _veil(first, last, color, there, position, eye, extinction, up, level, sky):
+def _apply_haze_rows(first, last, color, there, position, eye, extinction, up, level, sky):
     """Apply haze to some rows. The inner loops compile to vector instructions."""
     cols = there.shape[1]
-    away, along, passes = np.empty(cols), np.empty(cols), np.empty(cols)
-    at_horizon, foot = np.zeros(cols), np.empty((3, cols))
+    away, along, transmittance = np.empty(cols), np.empty(cols), np.empty(cols)
+    at_horizon, horizon_color = np.zeros(cols), np.empty((3, cols))
     for i in range(first, last):
         p = position[i]
         for j in range(cols):
@@ -269,12 +271,12 @@ def _veil(first, last, color, there, position, eye, extinction, up, level, sky):
             across = np.sqrt(max(square - rise * rise, 1e-12))
             along[j] = min(max((x * level[0] + y * level[1] + z * level[2]) / across, -1.0), 1.0)
             away[j] = np.sqrt(square)
-        sky_colors(sky, at_horizon, along, foot)
+        sky_colors(sky, at_horizon, along, horizon_color)
         for k in range(3):
-            passing(extinction[k], away, passes)
-            horizon, own = foot[k], color[i, :, k]
+            transmittances(extinction[k], away, transmittance)
+            horizon, own = horizon_color[k], color[i, :, k]
             for j in range(cols):
-                value = horizon[j] + (own[j] - horizon[j]) * passes[j]
+                value = horizon[j] + (own[j] - horizon[j]) * transmittance[j]
                 own[j] = value if there[i, j] else own[j]
 
 
@@ -311,20 +313,20 @@ def _farthest_corner(polygon, inward):
     """
     count = 3
     for k in range(len(inward)):
-        whole, part, kept = polygon[k % 2], polygon[(k + 1) % 2], 0
+        source, clipped, clipped_count = polygon[k % 2], polygon[(k + 1) % 2], 0
         for n in range(count):
-            p, q = whole[n], whole[(n + 1) % count]
+            p, q = source[n], source[(n + 1) % count]
             at_p = inward[k, 0] * p[0] + inward[k, 1] * p[1] + inward[k, 2] * p[2]
             at_q = inward[k, 0] * q[0] + inward[k, 1] * q[1] + inward[k, 2] * q[2]
             if at_p >= 0.0:
-                part[kept] = p
-                kept += 1
+                clipped[clipped_count] = p
+                clipped_count += 1
             if (at_p >= 0.0) != (at_q >= 0.0):
                 share = at_p / (at_p - at_q)
                 for m in range(3):
-                    part[kept, m] = p[m] + share * (q[m] - p[m])
-                kept += 1
-        count = kept
+                    clipped[clipped_count, m] = p[m] + share * (q[m] - p[m])
+                clipped_count += 1
+        count = clipped_count
     farthest = 0.0
     for n in range(count):
         p = polygon[len(inward) % 2, n]

@@ -1,6 +1,6 @@
 """Lamps: spots and omni lights, needed if the light of one of them is visible in the view.
 
-``_shine`` computes their light at a point. ``reaching_lamps`` and the glints on water (``skugga.terrain.effects.water``) use the
+``_add_lamp_light`` computes their light at a point. ``visible_lamps`` and the glints on water (``skugga.terrain.effects.water``) use the
 same formula.
 """
 
@@ -35,42 +35,42 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level has no lamps")
     reaching = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
     if not reaching:
-        return Verdict(False, f"no light from {_listed([lamp.name for lamp in descriptor.lamps])} reaches the view")
-    return Verdict(True, f"light from {_listed(reaching)} reaches the view")
+        return Verdict(False, f"no light from {_join_names([lamp.name for lamp in descriptor.lamps])} reaches the view")
+    return Verdict(True, f"light from {_join_names(reaching)} reaches the view")
 
 
-def _listed(names: list[str]) -> str:
+def _join_names(names: list[str]) -> str:
     """Return names joined with commas, shortened to the first ``NAMED_LAMPS`` and the number of the others."""
-    others = len(names) - NAMED_LAMPS
-    return ", ".join(names if others <= 1 else [*names[:NAMED_LAMPS], f"{others} others"])
+    rest_count = len(names) - NAMED_LAMPS
+    return ", ".join(names if rest_count <= 1 else [*names[:NAMED_LAMPS], f"{rest_count} others"])
 
 
-def reaching_lamps(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> set[str]:
+def visible_lamps(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> set[str]:
     """Return the names of the lamps whose light can be visible in a view.
 
     The light is tested on white ground that faces the lamp, at all ground of a map or at all points of a perspective view. The
     other lamps together change no 8-bit channel by more than three quarters of a step.
     """
-    light = {name: _light_on(scene, lamp, view, coarse_view) for name, lamp in scene.lamps.items()}
-    return set(light) - unseen_together(light, _least_light(scene))
+    light = {name: _max_irradiance(scene, lamp, view, coarse_view) for name, lamp in scene.lamps.items()}
+    return set(light) - negligible_lamps(light, _min_visible_light(scene))
 
 
-def unseen_together(light: Mapping[str, np.ndarray | float], least: float) -> set[str]:
+def negligible_lamps(light: Mapping[str, np.ndarray | float], least: float) -> set[str]:
     """Return the lamps that may be left out: the dimmest ones, until some point would lose more than the visible light.
 
     ``light`` is the irradiance of each lamp at the same points (n,), or at one point. ``least`` is the smallest visible irradiance
     in the same unit. All values are 0 or more. Lamps are sorted by their maximum irradiance; equal ones keep their order.
     """
-    unseen, together = set(), np.zeros(1)
+    negligible, total = set(), np.zeros(1)
     for name in sorted(light, key=lambda name: float(np.max(light[name], initial=0.0))):
-        together = together + light[name]
-        if np.max(together, initial=0.0) > least:
+        total = total + light[name]
+        if np.max(total, initial=0.0) > least:
             break
-        unseen.add(name)
-    return unseen
+        negligible.add(name)
+    return negligible
 
 
-def _light_on(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> np.ndarray:
+def _max_irradiance(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> np.ndarray:
     """Return an upper bound of a lamp's irradiance on visible surfaces around some points (n,), in units of the sun's irradiance.
 
     The points are the same for all lamps: the maximum heights of the overview, or the points of the coarse view. The distance to
@@ -87,22 +87,22 @@ def _light_on(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_
         points, slack_m = _points_of_cells(scene, cells)
     else:
         points = coarse_view.buffer.frame.points_to_earth(coarse_view.points_frame_m)
-        slack_m = coarse_view.away_m * coarse_view.spacing
+        slack_m = coarse_view.distance_m * coarse_view.spacing
     to_points = points - lamp.position_earth_m
     slack_m = slack_m + scene.objects.tallest_m
-    away_m = np.linalg.norm(to_points, axis=-1)
-    near_m = np.maximum(away_m - slack_m, 1e-3)
+    distance_m = np.linalg.norm(to_points, axis=-1)
+    near_m = np.maximum(distance_m - slack_m, 1e-3)
     light = strength / near_m**2
     if scene.world.flat and np.ptp(scene.height_range_m) <= 0.0 and scene.objects.kinds == ("relief",):
         light *= np.minimum(np.abs(to_points[:, 2]) / near_m, 1.0)
     shines = light > 0.0  # False for NaN points
     if lamp.kind == "spot":
-        off_deg = np.degrees(np.arccos(np.clip(to_points @ lamp.earth_from_lamp[:, 2] / np.maximum(away_m, 1e-9), -1.0, 1.0)))
+        off_deg = np.degrees(np.arccos(np.clip(to_points @ lamp.earth_from_lamp[:, 2] / np.maximum(distance_m, 1e-9), -1.0, 1.0)))
         shines &= off_deg - np.degrees(np.arctan2(slack_m, near_m)) <= lamp.cutoff_deg
     return np.where(shines, light, 0.0).ravel()
 
 
-def _least_light(scene: Scene) -> float:
+def _min_visible_light(scene: Scene) -> float:
     """Return the smallest irradiance on white that can change an 8-bit channel by more than three quarters of a step.
 
     Light is most visible where other light is weakest. Ground receives at least a quarter of the sky light even in a gorge, and
@@ -112,9 +112,13 @@ def _least_light(scene: Scene) -> float:
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     night = night_of(scene)
     sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
-    least = 0.25 * (1.0 if scene.sun is None else LEAST_SKY) * sky if "meshes" not in scene.objects.kinds else 0.0
-    more = np.geomspace(1e-6, 1.0, 256)
-    return float(more[np.argmax(srgb_of_linear(least + more) - srgb_of_linear(np.array(least)) > 0.75 * CHANNEL_STEP)])
+    ground_light = 0.25 * (1.0 if scene.sun is None else LEAST_SKY) * sky if "meshes" not in scene.objects.kinds else 0.0
+    increments = np.geomspace(1e-6, 1.0, 256)
+    return float(
+        increments[
+            np.argmax(srgb_of_linear(ground_light + increments) - srgb_of_linear(np.array(ground_light)) > 0.75 * CHANNEL_STEP)
+        ]
+    )
 
 
 @cached("scene", 16 * MIB)
@@ -144,12 +148,12 @@ def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
         outer, inner = (
             np.cos(np.radians([lamp.cutoff_deg, lamp.cutoff_deg * (1.0 - CONE_EDGE)])) if lamp.kind == "spot" else (-2.0, -1.5)
         )
-        _shine(lamplight, buffer.shown, visibility, position, axis, color, outer, inner, LEAF_GLOW)
+        _add_lamp_light(lamplight, buffer.shading_inputs, visibility, position, axis, color, outer, inner, LEAF_GLOW)
 
 
 @compiled
-def _shine(out, shown, visibility, lamp, axis, color, outer, inner, glow):
-    there, kind, position, _, normal = shown
+def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, inner, glow):
+    there, kind, position, _, normal = shading_inputs
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
             n, p = normal[i, j], position[i, j]

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
@@ -26,7 +26,7 @@ from skugga.terrain.ground.sky_view_factor import SkyView, hidden_on, pyramid_le
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.ground.visible_cells import block_slices, visible_cells
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import daylight_of, in_shade, look_of, most_sky, night_of, srgb_encoded
+from skugga.terrain.shading import daylight_of, look_of, max_sky_factor, night_of, sky_lit_albedo, srgb_encoded
 from skugga.terrain.shading_loops import dusk_of
 from skugga.terrain.style import tint_table
 
@@ -34,7 +34,7 @@ COMPARED_SHADES = 4096
 """Number of compared shades from black to the brightest, equal to the size of the whole sRGB table."""
 
 
-NODES_BESIDE = 4
+MARGIN_NODES = 4
 """Margin of nodes beyond a map's edge that interpolation may read, including those of the next coarser pyramid level."""
 
 
@@ -64,30 +64,30 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         return {"hidden": 0.0, "steps": 0.0}
     baked = sky_view(scene.elevation, scene.world)
     if isinstance(view, MapView):
-        hidden = _largest_shown(scene, view, baked)
+        hidden = _max_hidden_in_map(scene, view, baked)
     else:
-        hidden = 0.0 if coarse_view is None else _largest_seen(baked, coarse_view)
-    return {"hidden": hidden, "steps": float(darkened_steps(brightest(scene, view), hidden))}
+        hidden = 0.0 if coarse_view is None else _max_hidden_in_view(baked, coarse_view)
+    return {"hidden": hidden, "steps": float(max_darkening_steps(max_sky_lit_color(scene, view), hidden))}
 
 
-def _largest_shown(scene: Scene, view: MapView, baked: SkyView) -> float:
+def _max_hidden_in_map(scene: Scene, view: MapView, baked: SkyView) -> float:
     """Return the maximum hidden share of the sky in a map, including the nodes that its pixels are interpolated from."""
     cells, (means, table) = visible_cells(scene.elevation, view), baked.means
     if cells is None:
         return 0.0
-    halved = _times_halved(scene, view, baked)
+    halved = _pyramid_position(scene, view, baked)
     number = min(int(halved), len(table) - 1)
-    level, beside = _level(means, table, number), NODES_BESIDE if halved > 0.0 else 1
+    level, beside = _level(means, table, number), MARGIN_NODES if halved > 0.0 else 1
     return float(level[block_slices(cells, 2 ** (baked.level + number), level.shape, beside)].max())
 
 
-def darkened_steps(light: float, hidden: float) -> int:
+def max_darkening_steps(light: float, hidden: float) -> int:
     """Return the maximum number of steps of 255 by which the share ``hidden`` darkens any linear colour up to ``light``."""
     shades = np.linspace(0.0, light, COMPARED_SHADES)
     return int((srgb_encoded(shades).astype(int) - srgb_encoded(shades * (1.0 - hidden))).max())
 
 
-def brightest(scene: Scene, view: MapView | PerspectiveView) -> float:
+def max_sky_lit_color(scene: Scene, view: MapView | PerspectiveView) -> float:
     """Return the maximum linear colour of a surface that only the whole sky lights.
 
     The albedo is the brightest tint, or white if the level has objects, imagery or snow.
@@ -95,13 +95,13 @@ def brightest(scene: Scene, view: MapView | PerspectiveView) -> float:
     level = scene.loaded.level
     plain = scene.objects.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
     tints = tint_table(scene.style.ramp, scene.style.has_climate).reshape(-1, 3)
-    albedo = in_shade(tints, look_of(scene, view)).max(axis=0) if plain else np.ones(3)
+    albedo = sky_lit_albedo(tints, look_of(scene, view)).max(axis=0) if plain else np.ones(3)
     night = night_of(scene)
     day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))
-    return float((albedo * daylight_of(scene).sky).max()) * most_sky(scene) * (night + (1.0 - night) * day)
+    return float((albedo * daylight_of(scene).sky).max()) * max_sky_factor(scene) * (night + (1.0 - night) * day)
 
 
-def _times_halved(scene: Scene, view: MapView, baked: SkyView) -> float:
+def _pyramid_position(scene: Scene, view: MapView, baked: SkyView) -> float:
     """Return the pyramid level, as a fraction, at which the nodes are as far apart as a map's pixels."""
     return max(float(np.log2(map_pixel_m(scene.world, view) / baked.node_m)), 0.0)
 
@@ -112,7 +112,7 @@ def _level(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
     return values[begin : begin + rows * cols].reshape(rows, cols)
 
 
-def _largest_seen(baked: SkyView, coarse_view: CoarseView) -> float:
+def _max_hidden_in_view(baked: SkyView, coarse_view: CoarseView) -> float:
     """Return the maximum hidden share of the sky in a perspective view.
 
     The search radius around each point of the coarse view is the distance to its neighbours.
@@ -128,12 +128,12 @@ def _largest_seen(baked: SkyView, coarse_view: CoarseView) -> float:
         # Use the nearer of two neighbours, since the other one may lie beyond a skyline, in another valley.
         reach = np.fmax(reach, np.fmin(before, after))
     highest, table = baked.highest
-    known = buffer.there & np.isfinite(nodes[..., 0])
-    return float(_highest_round(highest, table, nodes[known], reach[known]))
+    has_node = buffer.there & np.isfinite(nodes[..., 0])
+    return float(_max_around_nodes(highest, table, nodes[has_node], reach[has_node]))
 
 
 @compiled
-def _highest_round(values, table, nodes, reach):
+def _max_around_nodes(values, table, nodes, reach):
     """Return the maximum of a pyramid of maxima within a radius of any node: over 3 x 3 cells that are as wide as the radius."""
     largest = 0.0
     for n in range(len(nodes)):
@@ -149,29 +149,29 @@ def _highest_round(values, table, nodes, reach):
 
 def apply_sky_view(skylight: np.ndarray, block: ShadingBlock) -> None:
     """Multiply the sky light of each point by its sky-view factor."""
-    skylight *= _left_of_sky(block)
+    skylight *= _sky_view_factors(block)
 
 
-def _made_from(block: ShadingBlock) -> tuple[object, ...]:
+def _cache_key(block: ShadingBlock) -> tuple[object, ...]:
     return block.buffer.position_frame_m, block.scene.elevation
 
 
-@cached("scene", 64 * MIB, key=_made_from, most=1)
-def _left_of_sky(block: ShadingBlock) -> np.ndarray:
+@cached("scene", 64 * MIB, key=_cache_key, max_entries=1)
+def _sky_view_factors(block: ShadingBlock) -> np.ndarray:
     """Return the sky-view factor of each pixel (rows, cols), float64. It does not depend on the sun."""
     buffer, scene = block.buffer, block.scene
     baked = sky_view(scene.elevation, scene.world)
     eye, tangent, width_m = pixel_size(block)
     nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
     out = np.ones(buffer.there.shape)
-    in_shares(
-        len(out), _hide, out, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m
+    run_in_chunks(
+        len(out), _write_factors, out, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m
     )  # fmt: skip
     return out
 
 
 @compiled
-def _hide(first, last, out, nodes, position, values, table, eye, tangent, width):
+def _write_factors(first, last, out, nodes, position, values, table, eye, tangent, width):
     """Write the sky-view factors of some rows.
 
     Pixels are ``tangent`` nodes wide at distance 1 in perspective, or ``width`` nodes wide in a map.

@@ -13,20 +13,20 @@ from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.noise import fractal_at
-from skugga.terrain.interpolation_loops import smoothstep_of
+from skugga.terrain.interpolation_loops import smoothstep_value
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import SHORE_M
 
 SNOW, ROCK = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
 """Linear albedos of settled snow, and of the rock and scree on steep ground."""
 
-HELD_DEG, BARE_DEG = 38.0, 52.0
+FULL_SNOW_DEG, NO_SNOW_DEG = 38.0, 52.0
 """Slopes below which all snow stays and above which none does. Most avalanches start between 30 and 45 degrees."""
 
 ROUGH_DEG, ROUGH_M, SNOW_OCTAVES, SNOW_SEED = 6.0, 90.0, 3, 29
 """Noise added to the slope, so that the snow's edge is irregular: amplitude, coarsest wavelength, octaves, seed."""
 
-DUSTED, CROWN_TOP = 0.6, (0.7, 1.1)
+CROWN_SNOW_SHARE, CROWN_TOP = 0.6, (0.7, 1.1)
 """Share of snow on top of a crown, and the cosines of its normal between which the share rises from 0 to this maximum."""
 
 CLUMPS, CLUMP_M = 0.3, 0.9
@@ -38,15 +38,15 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
     buffer, scene = block.buffer, block.scene
     if not scene.loaded.level.weather.snow:
         return
-    _lie_on(
-        albedo, buffer.shown, buffer.albedo, scene.world.up_from(buffer.frame), scene.world.anchor_from_frame(buffer.frame),
+    _whiten(
+        albedo, buffer.shading_inputs, buffer.albedo, scene.world.up_origin(buffer.frame), scene.world.anchor_from_frame(buffer.frame),
         scene.elevation.water_m + SHORE_M, pixel_size(block),
     )  # fmt: skip
 
 
 @compiled
-def _lie_on(albedo, shown, own, centre, anchor_from_frame, water_m, size):
-    there, kind, position, height, normal = shown
+def _whiten(albedo, shading_inputs, own, centre, anchor_from_frame, water_m, size):
+    there, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     eye, spread, pixel_m = size
     for i in range(there.shape[0]):
@@ -61,9 +61,9 @@ def _lie_on(albedo, shown, own, centre, anchor_from_frame, water_m, size):
             x = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
             y = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
             if kind[i, j] == FOREST:
-                share = _dusted(upright, x, y, height[i, j], wide_m)
+                share = _crown_snow_share(upright, x, y, height[i, j], wide_m)
             else:
-                share = _held(np.degrees(np.arccos(min(max(upright, -1.0), 1.0))), x, y, wide_m)
+                share = _slope_snow_share(np.degrees(np.arccos(min(max(upright, -1.0), 1.0))), x, y, wide_m)
             draped = False
             if own is not None:
                 draped = np.isfinite(own[i, j, 0])
@@ -75,23 +75,23 @@ def _lie_on(albedo, shown, own, centre, anchor_from_frame, water_m, size):
 
 
 @compiled
-def _held(slope_deg, x_m, y_m, pixel_m):
+def _slope_snow_share(slope_deg, x_m, y_m, pixel_m):
     """Return the share of snow that stays on a slope."""
-    if HELD_DEG - 2.0 * ROUGH_DEG < slope_deg < BARE_DEG + 2.0 * ROUGH_DEG:
-        slope_deg += ROUGH_DEG * _rough(x_m, y_m, ROUGH_M, pixel_m)
-    return 1.0 - smoothstep_of((slope_deg - HELD_DEG) / (BARE_DEG - HELD_DEG))
+    if FULL_SNOW_DEG - 2.0 * ROUGH_DEG < slope_deg < NO_SNOW_DEG + 2.0 * ROUGH_DEG:
+        slope_deg += ROUGH_DEG * _fading_noise(x_m, y_m, ROUGH_M, pixel_m)
+    return 1.0 - smoothstep_value((slope_deg - FULL_SNOW_DEG) / (NO_SNOW_DEG - FULL_SNOW_DEG))
 
 
 @internal
-def _dusted(upright, x_m, y_m, height_m, pixel_m):
+def _crown_snow_share(upright, x_m, y_m, height_m, pixel_m):
     """Return the share of snow on a crown, at a point where the cosine between normal and vertical is ``upright``."""
     if upright > CROWN_TOP[0] - 2.0 * CLUMPS:
-        upright += CLUMPS * (_rough(x_m, height_m, CLUMP_M, pixel_m) + _rough(height_m, y_m, CLUMP_M, pixel_m))
-    return DUSTED * smoothstep_of((upright - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
+        upright += CLUMPS * (_fading_noise(x_m, height_m, CLUMP_M, pixel_m) + _fading_noise(height_m, y_m, CLUMP_M, pixel_m))
+    return CROWN_SNOW_SHARE * smoothstep_value((upright - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
 
 
 @internal
-def _rough(x_m, y_m, wave_m, pixel_m):
+def _fading_noise(x_m, y_m, wave_m, pixel_m):
     """Return noise of about -1 to 1, fixed to the ground. It fades out as pixels become as wide as its waves."""
     share = min(max(2.0 - 2.0 * pixel_m / wave_m, 0.0), 1.0)
     return share * fractal_at(x_m / wave_m, y_m / wave_m, SNOW_OCTAVES, SNOW_SEED) if share > 0.0 else 0.0
@@ -104,7 +104,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level sets no snow")
     if not facts["on"]:
         return Verdict(False, str(facts["why"]))
-    return Verdict(True, f"snow lies on slopes below {HELD_DEG:.0f} to {BARE_DEG:.0f} degrees")
+    return Verdict(True, f"snow lies on slopes below {FULL_SNOW_DEG:.0f} to {NO_SNOW_DEG:.0f} degrees")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:

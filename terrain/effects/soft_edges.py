@@ -13,7 +13,7 @@ from skugga.terrain.effects.effect import Effect, Verdict
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 
-DISC = float(2.0 * np.radians(SUN_RADIUS_DEG))
+SUN_DIAMETER_RAD = float(2.0 * np.radians(SUN_RADIUS_DEG))
 """Angular diameter of the sun, radians: width of the penumbra, perpendicular to the light, per distance of caster and receiver."""
 
 
@@ -40,7 +40,7 @@ def penumbra_m(descriptor: Descriptor) -> float:
     sine = np.sin(np.radians(max(descriptor.sun_altitude_deg, 0.5)))
     along_m = longest_shadow_m(descriptor.relief_m + descriptor.tallest_m, descriptor.sun_altitude_deg, not descriptor.flat_world)
     thrown_m = min(float(np.hypot(along_m, descriptor.relief_m + descriptor.tallest_m)), 1e7)
-    return thrown_m * DISC / float(sine)
+    return thrown_m * SUN_DIAMETER_RAD / float(sine)
 
 
 EFFECT = Effect("penumbrae of the sun's disc", called_for, needs=("cast_shadows",))

@@ -30,14 +30,14 @@ from skugga.terrain.facts.coarse_view import CoarseView
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Fact, number
 from skugga.terrain.gbuffer.antialias import finer_view
-from skugga.terrain.gbuffer.picture import RasterisedView
+from skugga.terrain.gbuffer.view_geometry import RasterisedView
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible_cells
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
-from skugga.terrain.shading import SHORE_M, daylight_of, exposure_of, in_shade, look_of, night_of, srgb_encoded, water_in
+from skugga.terrain.shading import SHORE_M, daylight_of, exposure_of, look_of, night_of, sky_lit_albedo, srgb_encoded, water_in
 from skugga.terrain.shading_loops import dusk_of, shoulder
 from skugga.terrain.sky import sky_color, sky_of
 
@@ -55,7 +55,7 @@ MOST_PIXELS = 2_000_000
 MAX_CELLS_READ = 2**18
 """Maximum number of a map's cells that are read in the search for water."""
 
-OPEN_SKY = 0.5
+MIN_SKY_VIEW = 0.5
 """Assumed sky-view factor of the most enclosed water."""
 
 SHADES, ANGLES = 128, 32
@@ -65,7 +65,7 @@ The colours are densest near black, where entries of the encoding table are 0.8 
 of a dark lake.
 """
 
-GLINT = 0.5 / 255.0 / 12.92
+INVISIBLE_GLINT = 0.5 / 255.0 / 12.92
 """Maximum linear light that is invisible even on black: half a step at the steepest part of sRGB."""
 
 GLINT_DIRECTIONS = 33
@@ -108,21 +108,21 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     change: int | None = None
     covers = scene.elevation.overview.lowest_m <= water_m + SHORE_M
     if isinstance(view, MapView):
-        covers = covers and _wet_at(scene, view)
+        covers = covers and _has_water_at(scene, view)
         change = _change_steps(scene, view, np.array([1.0])) if covers else None
     elif covers and coarse_view is not None:
         cosines = _cosines(scene, view, coarse_view)
         change = _change_steps(scene, view, cosines) if len(cosines) else None
-    return {"level_m": water_m, "covers": covers, "change_steps": change, "glint": change is not None and glints(scene, view)}
+    return {"level_m": water_m, "covers": covers, "change_steps": change, "glint": change is not None and has_glint(scene, view)}
 
 
-def _wet_at(scene: Scene, view: MapView) -> bool:
+def _has_water_at(scene: Scene, view: MapView) -> bool:
     cells = visible_cells(scene.elevation, view)
-    return cells is not None and _wet_in(scene.elevation, scene.surface(view.grid).level, cells)
+    return cells is not None and _has_water_in(scene.elevation, scene.surface(view.grid).level, cells)
 
 
 @cached("scene", MIB)
-def _wet_in(elevation: Elevation, level: int, cells: CellRange) -> bool:
+def _has_water_in(elevation: Elevation, level: int, cells: CellRange) -> bool:
     """Return whether any visible cell of a raster lies under water, read at an overview level.
 
     Too many cells are not read. The result is then conservative: it may be true without water.
@@ -147,15 +147,15 @@ def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
     buffer, eye = coarse_view.buffer, coarse_view.eye_frame_m
     points = buffer.position_frame_m[water_in(buffer, scene)]
     if not len(points):
-        points = _between(scene, view, coarse_view)
-    up = points - scene.world.up_from(buffer.frame)
+        points = _submerged_nodes_between(scene, view, coarse_view)
+    up = points - scene.world.up_origin(buffer.frame)
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
     to_eye = eye - points
     cosine = np.einsum("nk,nk->n", to_eye, up) / np.maximum(np.linalg.norm(to_eye, axis=-1), 1e-9)
     return np.clip(cosine - coarse_view.spacing, 0.0, 1.0)
 
 
-def _between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
+def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
     """Return the ground's nodes under water (n, 3) that lie no farther than the coarse view's points beside them.
 
     The pixels around these nodes are drawn. The result is empty if none of them shows water.
@@ -174,14 +174,14 @@ def _between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
     inside = (row >= -1) & (row <= coarse.rows) & (col >= -1) & (col <= coarse.cols)
     points, in_camera, row, col = points[inside], in_camera[inside], row[inside].astype(int), col[inside].astype(int)
     far_m = np.full(buffer.there.shape, np.inf)
-    far_m[buffer.there] = coarse_view.away_m
+    far_m[buffer.there] = coarse_view.distance_m
     far_m = maximum_filter(far_m, size=3, mode="nearest")[np.clip(row, 0, coarse.rows - 1), np.clip(col, 0, coarse.cols - 1)]
     seen = np.linalg.norm(in_camera, axis=-1) <= far_m * (1.0 + coarse_view.spacing)
     if not seen.any():
         return points[:0]
-    each = round(coarse.step / view.step)
-    top, left = (max((int(v[seen].min()) - 1) * each, 0) for v in (row, col))
-    bottom, right = (min((int(v[seen].max()) + 2) * each, n) for v, n in ((row, view.rows), (col, view.cols)))
+    pixels_per_sample = round(coarse.step / view.step)
+    top, left = (max((int(v[seen].min()) - 1) * pixels_per_sample, 0) for v in (row, col))
+    bottom, right = (min((int(v[seen].max()) + 2) * pixels_per_sample, n) for v, n in ((row, view.rows), (col, view.cols)))
     box = view.part(top, left, max(bottom - top, 1), max(right - left, 1))
     if box.rows * box.cols > MOST_PIXELS:
         return points[seen]
@@ -205,8 +205,8 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
     sky = light.sky * (night + (1.0 - night) * dusk_of(sine))
     draped = scene.loaded.level.terrain.imagery is not None
     own = np.array(scene.style.water)
-    darkest, brightest = (0.0, 1.0) if draped else (in_shade(own, look_of(scene, view)), own)
-    dark, bright = OPEN_SKY * sky * darkest, (sky + light.sun * max(sine, 0.0) + _lamplight(scene)) * brightest
+    darkest, brightest = (0.0, 1.0) if draped else (sky_lit_albedo(own, look_of(scene, view)), own)
+    dark, bright = MIN_SKY_VIEW * sky * darkest, (sky + light.sun * max(sine, 0.0) + _lamplight(scene)) * brightest
     bright = np.array([shoulder(each) for each in bright])
     cosine = np.quantile(cosines, np.linspace(0.0, 1.0, ANGLES))
     shown = (dark + (bright - dark) * np.linspace(0.0, 1.0, SHADES)[:, None, None] ** 2).astype(np.float32)
@@ -214,13 +214,13 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
     # Points on a sphere around the eye, above a horizontal plane.
     eye = np.stack([np.sqrt(1.0 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
     points = np.ascontiguousarray(np.broadcast_to(-eye, shown.shape))
-    there, below, most = np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12]), 0
+    there, below, max_steps = np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12]), 0
     # The sky's colour is monotonic from below the sun to the opposite side, so both ends suffice.
     for to_sun in (np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])):
         color = shown.copy()
-        _mirror(color, there, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
-        most = max(most, int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(shown)).max()))
-    return most
+        _add_reflections(color, there, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
+        max_steps = max(max_steps, int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(shown)).max()))
+    return max_steps
 
 
 def _lamplight(scene: Scene) -> np.ndarray:
@@ -233,7 +233,7 @@ def _lamplight(scene: Scene) -> np.ndarray:
     return total
 
 
-def glints(scene: Scene, view: MapView | PerspectiveView) -> bool:
+def has_glint(scene: Scene, view: MapView | PerspectiveView) -> bool:
     """Return whether glint of the sun can be visible in any direction of a view."""
     if not scene.sun_is_up or scene.sun is None:
         return False
@@ -253,7 +253,7 @@ def glints(scene: Scene, view: MapView | PerspectiveView) -> bool:
         to_sun = scene.sun.to_sun_earth
         up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
     brightest = float(daylight_of(scene).sun.max())
-    return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_SLOPE) > GLINT)
+    return bool(brightest * _largest_glint(to_eye, up, to_sun, MEAN_SQUARE_SLOPE) > INVISIBLE_GLINT)
 
 
 def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
@@ -262,10 +262,10 @@ def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
     eye = None if isinstance(view, MapView) else view.in_frame(buffer.frame)[0]
     to_sun = np.zeros(3) if scene.sun is None else scene.sun.in_frame(buffer.frame)
     sun = visibility = None
-    if glints(scene, view) and SUN in block.visibilities:
+    if has_glint(scene, view) and SUN in block.visibilities:
         sun, visibility = daylight_of(scene).sun, block.visibilities[SUN]
-    _mirror(
-        color, water_in(buffer, scene), buffer.position_frame_m, eye, scene.world.up_from(buffer.frame), sky_of(scene),
+    _add_reflections(
+        color, water_in(buffer, scene), buffer.position_frame_m, eye, scene.world.up_origin(buffer.frame), sky_of(scene),
         MEAN_SQUARE_SLOPE, to_sun, sun, visibility,
     )  # fmt: skip
 
@@ -281,7 +281,7 @@ def _seen_facets(cosine, square):
 
 
 @internal
-def _sky_in(cosine, square):
+def _reflection_at(cosine, square):
     """Return the Fresnel reflectance at a zenith angle, the sine of the reflected sky's altitude, and the area of the facets."""
     area, slope = _seen_facets(cosine, square)
     deviation = np.sqrt(0.5 * square)
@@ -299,14 +299,14 @@ def _glint(eye_up, sun_up, eye_sun, area, square):
     """
     if sun_up <= 0.0:
         return 0.0
-    both = np.sqrt(max(2.0 + 2.0 * eye_sun, 1e-12))  # the length of eye + sun, whose direction is the facet's normal
-    tilt = min((eye_up + sun_up) / both, 1.0)
+    bisector_length = np.sqrt(max(2.0 + 2.0 * eye_sun, 1e-12))  # the length of eye + sun, whose direction is the facet's normal
+    tilt = min((eye_up + sun_up) / bisector_length, 1.0)
     if (1.0 / (tilt * tilt) - 1.0) > 25.0 * square:  # only 1e-11 of the waves are so steep
         return 0.0
-    fresnel = NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * (1.0 - min(0.5 * both, 1.0)) ** 5
+    fresnel = NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * (1.0 - min(0.5 * bisector_length, 1.0)) ** 5
     slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / square) / (square * tilt**4)
-    lit, _ = _seen_facets(sun_up, square)
-    return fresnel * slopes * sun_up / (4.0 * area * lit) * min(np.degrees(sun_up), 1.0)
+    lit_area, _ = _seen_facets(sun_up, square)
+    return fresnel * slopes * sun_up / (4.0 * area * lit_area) * min(np.degrees(sun_up), 1.0)
 
 
 @compiled
@@ -323,12 +323,12 @@ def _largest_glint(to_eye, up, to_sun, square):
 
 
 @compiled
-def _mirror(color, water, position, eye, centre, sky, square, to_sun, sun, visibility):
+def _add_reflections(color, water, position, eye, centre, sky, square, to_sun, sun, visibility):
     # The tests for None are resolved at compile time. No eye means a view from infinitely far above, no sun means no glint. The
     # reflected sky has no glow around the sun, since the glint replaces it.
     below_sun, opposite, zenith, glow, _, fall, altitude = sky
     plain = (below_sun, opposite, zenith, glow, 0.0, fall, altitude)
-    fresnel, sine, area = _sky_in(1.0, square)
+    fresnel, sine, area = _reflection_at(1.0, square)
     mirrored, along = np.empty(3), 0.0
     sky_color(plain, sine, along, mirrored)
     for i in range(water.shape[0]):
@@ -346,7 +346,7 @@ def _mirror(color, water, position, eye, centre, sky, square, to_sun, sun, visib
                 length = np.sqrt(vx * vx + vy * vy + vz * vz)
                 vx, vy, vz = vx / length, vy / length, vz / length
                 cosine = min(max(vx * ux + vy * uy + vz * uz, 0.0), 1.0)
-                fresnel, sine, area = _sky_in(cosine, square)
+                fresnel, sine, area = _reflection_at(cosine, square)
                 sun_up = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
                 eye_sun = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
                 level = np.sqrt(max((1.0 - sun_up * sun_up) * (1.0 - cosine * cosine), 1e-12))

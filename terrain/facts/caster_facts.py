@@ -127,5 +127,5 @@ def slopes_deg(world: World, elevation: Elevation) -> tuple[float, float, float]
     slope = slope[np.isfinite(slope)]
     if not slope.size:
         return 0.0, 0.0, 0.0
-    most = float(slope.max())  # an upper bound: the mean of equal slopes may exceed them by rounding
-    return min(float(slope.mean()), most), min(float(np.percentile(slope, 95)), most), most
+    max_slope = float(slope.max())  # an upper bound: the mean of equal slopes may exceed them by rounding
+    return min(float(slope.mean()), max_slope), min(float(np.percentile(slope, 95)), max_slope), max_slope

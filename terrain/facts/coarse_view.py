@@ -17,11 +17,11 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal
-from skugga.terrain.gbuffer.antialias import CROSS, edges_between, edges_in_neighbours, mesh_normals
+from skugga.terrain.gbuffer.antialias import CROSS_OFFSETS, edge_mask, edge_mask_of_crosses, mesh_normals
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
 from skugga.terrain.gbuffer.id_buffer import NEAR_M, IdBuffer
-from skugga.terrain.gbuffer.picture import buffer_of, solids_in
+from skugga.terrain.gbuffer.view_geometry import resolve_buffer, solid_vertices
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.scene import Scene
@@ -41,9 +41,9 @@ class NeighbourSamples:
     row, col
         The pixels (n,).
     number
-        Visible triangle in each pixel and its neighbours (n, 5), uint32, in the order of ``CROSS``. Triangles are numbered from 1,
+        Visible triangle in each pixel and its neighbours (n, 5), uint32, in the order of ``CROSS_OFFSETS``. Triangles are numbered from 1,
         first those of the ground, then those of the meshes. 0 is no triangle.
-    away_m
+    distance_m
         Distance along the view axis (n, 5), float64, metres; infinite where no triangle is visible.
     ground
         Number of triangles of the ground.
@@ -55,7 +55,7 @@ class NeighbourSamples:
     row: np.ndarray
     col: np.ndarray
     number: np.ndarray
-    away_m: np.ndarray
+    distance_m: np.ndarray
     ground: int
     normals: np.ndarray
 
@@ -72,7 +72,7 @@ class CoarseView:
         Position of the eye (3,), metres.
     points_frame_m
         Visible points (n, 3), float64, metres.
-    away_m
+    distance_m
         Distances of the points from the eye (n,), metres.
     height_m
         Heights of the points (n,), metres.
@@ -80,23 +80,23 @@ class CoarseView:
         Angle between neighbouring samples, as a tangent.
     edge_share
         Share of the pixels of the full view that contain an edge.
-    crosses
+    edge_samples
         Sampled pixels of the full view with their neighbours.
     """
 
     buffer: GeometryBuffer
     eye_frame_m: np.ndarray
     points_frame_m: np.ndarray
-    away_m: np.ndarray
+    distance_m: np.ndarray
     height_m: np.ndarray
     spacing: float
     edge_share: float
-    crosses: NeighbourSamples
+    edge_samples: NeighbourSamples
 
 
 @dataclass(frozen=True, eq=False)
-class _Coarse:
-    """Input from which ``skugga.terrain.gbuffer.picture`` resolves points: like its ``RasterisedView``, without trees."""
+class _CoarseRaster:
+    """Input from which ``skugga.terrain.gbuffer.view_geometry`` resolves points: like its ``RasterisedView``, without trees."""
 
     frame: LocalFrame
     ground: GroundMesh
@@ -105,67 +105,71 @@ class _Coarse:
     tree_instances: None = None
 
 
-def _sight(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
+def _cache_key(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
     """Return the cache key of a coarse view: the objects of the scene and the camera. Light does not matter."""
     camera = (view.focal_px, view.row0, view.col0, view.step, view.rows, view.cols)
     return scene.objects, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera
 
 
-@cached("scene", 1024 * MIB, key=_sight)
+@cached("scene", 1024 * MIB, key=_cache_key)
 def coarse_view_of(scene: Scene, view: PerspectiveView) -> CoarseView:
     """Return the coarse view of a scene without trees, sampled every ``COARSE_STEP_PX`` pixels.
 
     If these samples show only sky, every pixel is sampled.
     """
-    coarse_view = _look_every(scene, view, COARSE_STEP_PX)
-    return coarse_view if len(coarse_view.points_frame_m) else _look_every(scene, view, 1, coarse_view.crosses)
+    coarse_view = _sample_every(scene, view, COARSE_STEP_PX)
+    return coarse_view if len(coarse_view.points_frame_m) else _sample_every(scene, view, 1, coarse_view.edge_samples)
 
 
-def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: NeighbourSamples | None = None) -> CoarseView:
+def _sample_every(scene: Scene, view: PerspectiveView, px: int, edge_samples: NeighbourSamples | None = None) -> CoarseView:
     """Return the view sampled every ``px`` pixels.
 
-    A view of every pixel receives the ``crosses`` of the coarse one, since its own would need too much memory in the cache.
+    A view of every pixel receives the ``edge_samples`` of the coarse one, since its own would need too much memory in the cache.
     """
     coarse = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
     frame = view.frame(scene.world)
-    ground, solids = ground_mesh(scene, coarse), solids_in(scene.objects, frame)
+    ground, solids = ground_mesh(scene, coarse), solid_vertices(scene.objects, frame)
     meshes = [(ground.position_frame_m, ground.triangles)]
     if solids is not None and scene.objects.solids is not None:
         meshes.append((solids, scene.objects.solids.triangles))
-    number, depth_m = nearest_triangles(coarse, frame, meshes, np.array(CROSS if crosses is None else CROSS[:1]) / px)
+    number, depth_m = rasterize_triangles(
+        coarse, frame, meshes, np.array(CROSS_OFFSETS if edge_samples is None else CROSS_OFFSETS[:1]) / px
+    )
     seen = IdBuffer(np.ascontiguousarray(number[..., 0]), np.zeros((0, 0, 4), np.uint8), np.zeros((0, 0), np.float32))
-    if crosses is None:
+    if edge_samples is None:
         row, col = (px * index.ravel() for index in np.indices(seen.number.shape))
-        flat, normals = (len(row), len(CROSS)), mesh_normals(scene.objects)
-        crosses = NeighbourSamples(view, row, col, number.reshape(flat), depth_m.reshape(flat), len(ground.triangles), normals)
-        ends = edges_in_neighbours(crosses.number, crosses.away_m, crosses.ground, crosses.normals)
+        flat, normals = (len(row), len(CROSS_OFFSETS)), mesh_normals(scene.objects)
+        edge_samples = NeighbourSamples(view, row, col, number.reshape(flat), depth_m.reshape(flat), len(ground.triangles), normals)
+        has_edge = edge_mask_of_crosses(edge_samples.number, edge_samples.distance_m, edge_samples.ground, edge_samples.normals)
     else:
         depth = (NEAR_M / depth_m[..., 0]).astype(np.float32)
-        ends = edges_between(seen.number, depth, crosses.ground, crosses.normals, NEAR_M)
-    looked = buffer_of(scene, coarse, _Coarse(frame, ground, solids, seen))
-    points = looked.position_frame_m[looked.there]
+        has_edge = edge_mask(seen.number, depth, edge_samples.ground, edge_samples.normals, NEAR_M)
+    geometry = resolve_buffer(scene, coarse, _CoarseRaster(frame, ground, solids, seen))
+    points = geometry.position_frame_m[geometry.there]
     eye, _ = view.in_frame(frame)
-    away_m = np.linalg.norm(points - eye, axis=-1)
-    return CoarseView(looked, eye, points, away_m, looked.height_m[looked.there], coarse.pixel, float(ends.mean()), crosses)
+    distance_m = np.linalg.norm(points - eye, axis=-1)
+    return CoarseView(
+        geometry, eye, points, distance_m, geometry.height_m[geometry.there], coarse.pixel, float(has_edge.mean()), edge_samples
+    )
 
 
-def nearest_triangles(
-    view: PerspectiveView, frame: LocalFrame, meshes: list[tuple[np.ndarray, np.ndarray]], beside: np.ndarray
+def rasterize_triangles(
+    view: PerspectiveView, frame: LocalFrame, meshes: list[tuple[np.ndarray, np.ndarray]], sample_offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the nearest triangle at k sample positions of each pixel, and its distance along the view axis.
 
     The numbers have shape (rows, cols, k) and dtype uint32. The distances are float64 metres, infinite where no triangle is hit.
-    ``beside`` (k, 2) holds the sample offsets from the pixel's centre, down and to the right, in pixels. Each mesh is a pair of
+    ``sample_offsets`` (k, 2) holds the sample offsets from the pixel's centre, down and to the right, in pixels. Each mesh is a pair of
     vertices (n, 3) in ``frame`` and triangles (m, 3). Triangles are numbered from 1 through all meshes.
     """
     eye, camera_from_frame = view.in_frame(frame)
-    number = np.zeros((view.rows, view.cols, len(beside)), np.uint32)
+    number = np.zeros((view.rows, view.cols, len(sample_offsets)), np.uint32)
     depth = np.full(number.shape, np.inf)
     tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
     first = 1
     for vertices, triangles in meshes:
         in_camera, pixel = _projected(vertices, eye, np.ascontiguousarray(camera_from_frame), tangents)
-        _draw(in_camera, pixel, triangles, tangents, beside, NEAR_M, first, number, depth)
+        _draw(in_camera, pixel, triangles, tangents, sample_offsets, NEAR_M, first, number, depth)
         first += len(triangles)
     return number, depth
 
@@ -184,7 +188,7 @@ def _projected(vertices, eye, rotation, tangents):
 
 
 @internal
-def _beyond(a, b, c, tangents, reach, rows, cols):
+def _is_outside_frustum(a, b, c, tangents, reach, rows, cols):
     """Return whether a triangle lies entirely beyond one side of the view frustum, which is wider by ``reach`` pixels."""
     for k in range(2):
         low = tangents[k] - reach * tangents[2]
@@ -197,15 +201,15 @@ def _beyond(a, b, c, tangents, reach, rows, cols):
 
 
 @compiled
-def _draw(at, pixel, triangles, tangents, beside, near, first, number, depth):
-    rows, cols, places = number.shape
-    reach = np.abs(beside).max()
+def _draw(at, pixel, triangles, tangents, offsets, near, first, number, depth):
+    rows, cols, samples = number.shape
+    reach = np.abs(offsets).max()
     for t in range(len(triangles)):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        before = (at[i, 2] < near) + (at[j, 2] < near) + (at[k, 2] < near)
-        if before == 3:
+        behind_near = (at[i, 2] < near) + (at[j, 2] < near) + (at[k, 2] < near)
+        if behind_near == 3:
             continue
-        if before == 0:
+        if behind_near == 0:
             low_col, high_col = min(pixel[i, 0], pixel[j, 0], pixel[k, 0]), max(pixel[i, 0], pixel[j, 0], pixel[k, 0])
             low_row, high_row = min(pixel[i, 1], pixel[j, 1], pixel[k, 1]), max(pixel[i, 1], pixel[j, 1], pixel[k, 1])
             if not (high_col >= -reach and low_col <= cols - 1 + reach and high_row >= -reach and low_row <= rows - 1 + reach):
@@ -215,7 +219,7 @@ def _draw(at, pixel, triangles, tangents, beside, near, first, number, depth):
                 continue
             c0, c1 = int(np.ceil(max(low_col - reach, 0.0))), int(min(high_col + reach, cols - 1.0))
             r0, r1 = int(np.ceil(max(low_row - reach, 0.0))), int(min(high_row + reach, rows - 1.0))
-        elif _beyond(at[i], at[j], at[k], tangents, reach, rows, cols):
+        elif _is_outside_frustum(at[i], at[j], at[k], tangents, reach, rows, cols):
             continue
         else:
             r0, r1, c0, c1 = 0, rows - 1, 0, cols - 1
@@ -239,8 +243,8 @@ def _draw(at, pixel, triangles, tangents, beside, near, first, number, depth):
                 u, v, w = side * (x * u0 + y * u1 + u2), side * (x * v0 + y * v1 + v2), side * (x * w0 + y * w1 + w2)
                 if u < -less_u or v < -less_v or w < -less_w:
                     continue
-                for p in range(places):
-                    y_p, x_p = y + beside[p, 0] * tangents[2], x + beside[p, 1] * tangents[2]
+                for p in range(samples):
+                    y_p, x_p = y + offsets[p, 0] * tangents[2], x + offsets[p, 1] * tangents[2]
                     u, v = side * (x_p * u0 + y_p * u1 + u2), side * (x_p * v0 + y_p * v1 + v2)
                     w = side * (x_p * w0 + y_p * w1 + w2)
                     if u < 0.0 or v < 0.0 or w < 0.0 or u + v + w <= 0.0:

@@ -19,7 +19,7 @@ from skugga.terrain.facts.fact_types import (
     Positive,
     Share,
     Slope,
-    shares_add_up,
+    check_share_sum,
 )
 from skugga.terrain.geo.grid import BLOCK_PX
 from skugga.terrain.level.level import SUN, CasterKind
@@ -28,11 +28,11 @@ from skugga.terrain.level.parts import Weather
 LightKind = Literal["sun", "spot", "omni"]
 
 
-def _number_of_text(fact: object) -> object:
+def _parse_infinity(fact: object) -> object:
     return {"Infinity": np.inf, "-Infinity": -np.inf}.get(fact, fact) if isinstance(fact, str) else fact
 
 
-def _a_number(fact: Fact) -> Fact:
+def _reject_nan(fact: Fact) -> Fact:
     if isinstance(fact, float) and np.isnan(fact):
         raise PydanticCustomError("nan", "a number, not NaN")
     return fact
@@ -51,7 +51,7 @@ class Descriptor(Facts):
       0 in a map.
     - ``node_m``: distance between the nodes of the drawn ground, metres.
     - ``pieces``: supersampling factor of a side of a coarse map's pixel, which shows the mean visibility of its sub-pixels
-      (``skugga.terrain.gbuffer.covered_nodes``). If it is over 1, ``pixel_m``, ``node_m`` and the other fields describe sub-pixels,
+      (``skugga.terrain.gbuffer.supersampling``). If it is over 1, ``pixel_m``, ``node_m`` and the other fields describe sub-pixels,
       and ``pixels`` counts those of a block that show ground.
     - ``casters``: the kinds of casters in the scene.
     - ``stands``: the facts of each kind of casters.
@@ -103,7 +103,7 @@ class Descriptor(Facts):
     tallest_m: AtLeastZero = 0.0
     moves: bool = False
     weather: Weather = Weather()
-    facts: dict[str, dict[str, Annotated[Fact, BeforeValidator(_number_of_text), AfterValidator(_a_number)]]] = {}
+    facts: dict[str, dict[str, Annotated[Fact, BeforeValidator(_parse_infinity), AfterValidator(_reject_nan)]]] = {}
 
     @property
     def light_kinds(self) -> dict[str, LightKind]:
@@ -113,7 +113,7 @@ class Descriptor(Facts):
 
     @model_validator(mode="before")
     @classmethod
-    def _counted(cls, data: Any) -> Any:
+    def _fill_pixels(cls, data: Any) -> Any:
         if isinstance(data, dict) and "pixels" not in data:
             rows, cols = (data.get(key, BLOCK_PX) for key in ("rows", "cols"))
             if isinstance(rows, int) and isinstance(cols, int) and min(rows, cols) > 0:
@@ -121,14 +121,14 @@ class Descriptor(Facts):
         return data
 
     @model_validator(mode="after")
-    def _of_one_piece(self) -> Descriptor:
-        _once("casters", list(self.casters), None)
-        _once("stands", [caster.kind for caster in self.stands], self.casters)
-        _once("lamps", [lamp.name for lamp in self.lamps], None)
+    def _check_consistency(self) -> Descriptor:
+        _check_unique("casters", list(self.casters), None)
+        _check_unique("stands", [caster.kind for caster in self.stands], self.casters)
+        _check_unique("lamps", [lamp.name for lamp in self.lamps], None)
         sun = () if self.highest_sun_deg is None else (SUN,)
-        _once("lights", list(self.lights), (*sun, *(lamp.name for lamp in self.lamps)))
+        _check_unique("lights", list(self.lights), (*sun, *(lamp.name for lamp in self.lamps)))
         for name, light in self.lights.items():
-            _once(f"lights.{name}.casts", list(light.casts), self.casters)
+            _check_unique(f"lights.{name}.casts", list(light.casts), self.casters)
         is_given = [value is not None for value in (self.sun_azimuth_deg, self.sun_altitude_deg, self.highest_sun_deg)]
         if any(is_given) != all(is_given):
             raise PydanticCustomError(
@@ -140,11 +140,11 @@ class Descriptor(Facts):
                 "highest_slope_deg {highest} is less than mean_slope_deg or p95_slope_deg",
                 {"highest": self.highest_slope_deg},
             )
-        shares_add_up([band.share for band in self.bands], "bands")
+        check_share_sum([band.share for band in self.bands], "bands")
         return self
 
 
-def _once(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
+def _check_unique(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
     for number, name in enumerate(names):
         if name in names[:number]:
             raise PydanticCustomError("twice", "{key}: '{name}' is listed twice", {"key": key, "name": name})

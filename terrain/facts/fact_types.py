@@ -71,7 +71,7 @@ class Band(Facts):
 
     @model_validator(mode="after")
     def _in_order(self) -> Band:
-        _ascending("far_m", self.near_m, self.far_m)
+        _check_ascending("far_m", self.near_m, self.far_m)
         for low, high in zip(self.low_light_m, self.high_light_m, strict=True):
             if high < low:
                 raise PydanticCustomError(
@@ -131,7 +131,7 @@ class CastBand(Facts):
     @model_validator(mode="after")
     def _in_order(self) -> CastBand:
         if self.far_m is not None:
-            _ascending("far_m", self.near_m, self.far_m)
+            _check_ascending("far_m", self.near_m, self.far_m)
         return self
 
 
@@ -151,7 +151,7 @@ class Casting(Facts):
 
     @model_validator(mode="after")
     def _in_order(self) -> Casting:
-        _nearest_first(self.bands)
+        _check_order(self.bands)
         return self
 
 
@@ -188,14 +188,14 @@ def number(fact: Fact) -> float | None:
     return fact
 
 
-def shares_add_up(shares: list[float], of: str) -> None:
+def check_share_sum(shares: list[float], of: str) -> None:
     """Raise a ``PydanticCustomError`` if shares of one whole add up to more than 1."""
     if sum(shares) > 1.0 + SHARE_SUM_TOLERANCE:
         raise PydanticCustomError("shares", "the shares of {of} add up to {sum}, more than 1", {"of": of, "sum": sum(shares)})
 
 
-def _nearest_first(bands: tuple[CastBand, ...]) -> None:
-    shares_add_up([band.share for band in bands], "bands")
+def _check_order(bands: tuple[CastBand, ...]) -> None:
+    check_share_sum([band.share for band in bands], "bands")
     for before, after in zip(bands, bands[1:], strict=False):
         if before.far_m is None or after.near_m < before.far_m:
             raise PydanticCustomError(
@@ -203,6 +203,6 @@ def _nearest_first(bands: tuple[CastBand, ...]) -> None:
             )
 
 
-def _ascending(name: str, low: float, high: float) -> None:
+def _check_ascending(name: str, low: float, high: float) -> None:
     if high <= low:
         raise PydanticCustomError("order", "{name} {high} is not more than {low}", {"name": name, "high": high, "low": low})

@@ -17,7 +17,7 @@ from skugga.terrain.facts.probes import ProbeRays
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
-TREES_A_CELL = 3
+TREES_PER_CELL = 3
 """Mean number of trees per cell of the grid."""
 
 MAX_CELLS_PER_SIDE = 512
@@ -79,7 +79,7 @@ def tree_grid_of(trees: TreeInstances) -> TreeGrid:
     base_xy = trees.base_frame_m[:, :2]
     low, high = (base_xy - reach[:, None]).min(axis=0), (base_xy + reach[:, None]).max(axis=0)
     extent = np.maximum(high - low, 1e-3)
-    cell = max(float(np.sqrt(np.prod(extent) * TREES_A_CELL / len(trees))), float(extent.max()) / MAX_CELLS_PER_SIDE)
+    cell = max(float(np.sqrt(np.prod(extent) * TREES_PER_CELL / len(trees))), float(extent.max()) / MAX_CELLS_PER_SIDE)
     cols, rows = (int(n) for n in np.ceil(extent / cell))
     top, first, tree, disc = _sorted(trees.base_frame_m, trees.shape, reach, low, cell, rows, cols)
     return TreeGrid(low, cell, top, first, tree, disc)
@@ -135,14 +135,14 @@ def first_leaf_hits(
     """
     if not len(trees):
         return np.full(len(start), np.inf), np.zeros((len(start), 3))
-    its = LeafPictures(trees.base_frame_m, trees.shape, trees.turn, trees.variant, leaves())
-    return _first(tree_grid_of(trees), its, start, direction, length_m, MIN_LEAF_DISTANCE_M)
+    pictures = LeafPictures(trees.base_frame_m, trees.shape, trees.turn, trees.variant, leaves())
+    return _first(tree_grid_of(trees), pictures, start, direction, length_m, MIN_LEAF_DISTANCE_M)
 
 
 @compiled
-def _first(grid, its, start, direction, length, nearest):
+def _first(grid, pictures, start, direction, length, nearest):
     low, cell, top, first, tree, disc = grid
-    base, shape, turn, variant, leaf = its
+    base, shape, turn, variant, leaf = pictures
     rows, cols = top.shape
     side = leaf.shape[1]
     out, normal = np.full(len(start), np.inf), np.zeros((len(start), 3))

@@ -17,7 +17,7 @@ from skugga.terrain.facts.leaf_rays import blocked_by_leaves, first_leaf_hits
 from skugga.terrain.facts.mesh_rays import blocked_by_meshes, first_mesh_hits
 from skugga.terrain.facts.probes import PROBES, PROBES_AMONG_TREES, ProbeRays, Probes, rays_to, stratified_indices
 from skugga.terrain.facts.relief_rays import blocked_by_relief, overview_probes
-from skugga.terrain.facts.silhouette_facts import EYE_RAYS, layers_before, length_px, silhouette_of
+from skugga.terrain.facts.silhouette_facts import EYE_RAYS, mean_volume_layers, projected_length, silhouette_of
 from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
 from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.camera import PerspectiveView
@@ -31,17 +31,17 @@ MIN_DISTANCE_M = 1.0
 GRAZING = 2.0**-20
 """Minimum sine of the angle between a light and a surface. A lower light counts as below the surface."""
 
-EDGE_RUNG = 6
+EDGE_LADDER_SIZES = 6
 """Number of entries of ``TEXEL_LADDER_PX`` that detect an edge near a point: up to 8 pixels, about the spacing of the points."""
 
-ALL_ROUND_PARTS = 8
+CUBE_FACE_PARTS = 8
 """Subdivision of a side of each cube-map face of an omni light, for the estimate of the visible share of its sphere."""
 
 
 MIN_THROW_M = 0.01
 """Offset of the start of a ray from the body that it starts on."""
 
-LEAF_PROBES = 160
+MAX_FOLIAGE_PROBES = 160
 """Maximum number of probes whose rays are tested against foliage, the most expensive test."""
 
 
@@ -102,13 +102,15 @@ def _facts(seen: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts
     to_view = None if camera is None or (lamp is not None and lamp.kind == "omni") else _to_view_deg(scene, camera, lamp, probes)
     if not len(probes) or (lamp is None and not scene.sun_is_up):
         return LightFacts(to_view_deg=to_view, facing_share=0.0, area_share=area_share)
-    lit, share = _lit(scene, probes, lamp, PROBES if seen.trees is None else PROBES_AMONG_TREES)
+    lit, share = _lit_probes(scene, probes, lamp, PROBES if seen.trees is None else PROBES_AMONG_TREES)
     rays = rays_to(lit.probes, lit.direction_frame, lit.length_m)
     blocked = {kind: _blocked(seen, kind, lit.probes, rays) for kind in scene.objects.kinds} if len(lit.probes) else {}
-    shaded = np.logical_or.reduce([blocked_rays.itself for blocked_rays in blocked.values()]) if blocked else np.zeros(0, bool)
+    shaded = np.logical_or.reduce([blocked_rays.at_probes for blocked_rays in blocked.values()]) if blocked else np.zeros(0, bool)
     edge_m = [
-        lit.probes.away_m[
-            blocked_rays.which[(blocked_rays.beside[:EDGE_RUNG] != blocked_rays.itself[blocked_rays.which]).any(axis=0)]
+        lit.probes.distance_m[
+            blocked_rays.indices[
+                (blocked_rays.at_offsets[:EDGE_LADDER_SIZES] != blocked_rays.at_probes[blocked_rays.indices]).any(axis=0)
+            ]
         ]
         for blocked_rays in blocked.values()
     ]
@@ -122,8 +124,8 @@ def _facts(seen: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts
     )  # fmt: skip
 
 
-def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[LitProbes, float]:
-    """Return at most ``most`` of the probes that face a light and lie in its cone, and the share of all probes that do."""
+def _lit_probes(scene: Scene, probes: Probes, lamp: Lamp | None, max_count: int) -> tuple[LitProbes, float]:
+    """Return at most ``max_count`` of the probes that face a light and lie in its cone, and the share of all probes that do."""
     frame = probes.frame
     if lamp is None:
         assert scene.sun is not None
@@ -137,73 +139,75 @@ def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[Li
         direction = to_lamp / np.maximum(length, 1e-12)[:, None]
         facing = np.einsum("ij,ij->i", probes.normal_frame, direction)
         inside = -np.einsum("ij,j->i", direction, axis) >= np.cos(np.radians(lamp.cutoff_deg))
-    which = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > GRAZING) & inside)
-    chosen = which[stratified_indices(len(which), most)]
-    return LitProbes(probes.some(chosen), direction[chosen], length[chosen]), len(which) / len(probes)
+    indices = np.flatnonzero((np.where(probes.kind == FOREST, np.abs(facing), facing) > GRAZING) & inside)
+    chosen = indices[stratified_indices(len(indices), max_count)]
+    return LitProbes(probes.select(chosen), direction[chosen], length[chosen]), len(indices) / len(probes)
 
 
 @dataclass(frozen=True, eq=False)
-class BlockedRays:
+class RayOcclusion:
     """Rays that one kind of casters blocks.
 
     Attributes
     ----------
-    itself
+    at_probes
         Whether the ray from each of the n probes is blocked (n,), bool.
-    beside
-        Whether the rays from k places beside the probes ``which`` are blocked (k, m), bool.
-    which
+    at_offsets
+        Whether the rays from k places beside the probes ``indices`` are blocked (k, m), bool.
+    indices
         Indices of the probes with rays from beside them (m,).
     thrown_m
         Distances from blocked probes to their occluders, metres, or ``None`` if they are unknown.
     """
 
-    itself: np.ndarray
-    beside: np.ndarray
-    which: np.ndarray
+    at_probes: np.ndarray
+    at_offsets: np.ndarray
+    indices: np.ndarray
     thrown_m: np.ndarray | None = None
 
 
-def _blocked(seen: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays) -> BlockedRays:
-    scene, everyone = seen.scene, np.arange(len(probes))
+def _blocked(seen: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays) -> RayOcclusion:
+    scene, all_probes = seen.scene, np.arange(len(probes))
     if kind == "forest" and seen.trees is not None and len(seen.trees):
-        which = stratified_indices(len(probes), LEAF_PROBES)
+        indices = stratified_indices(len(probes), MAX_FOLIAGE_PROBES)
         met_m, _ = first_leaf_hits(seen.trees, *(np.ascontiguousarray(array[0]) for array in rays.arrays))
-        itself = np.isfinite(met_m)
-        return BlockedRays(itself, blocked_by_leaves(seen.trees, rays.some(slice(1, None), which)), which, met_m[itself])
+        at_probes = np.isfinite(met_m)
+        return RayOcclusion(
+            at_probes, blocked_by_leaves(seen.trees, rays.select(slice(1, None), indices)), indices, met_m[at_probes]
+        )
     if kind == "meshes":
         met = blocked_by_meshes(scene.objects, probes, rays)
         start, direction, length = (array[0][met[0]] for array in rays.arrays)
         thrown_m, _ = first_mesh_hits(scene.objects, probes.frame, start + MIN_THROW_M * direction, direction, length)
-        return BlockedRays(met[0], met[1:], everyone, thrown_m[np.isfinite(thrown_m)])
+        return RayOcclusion(met[0], met[1:], all_probes, thrown_m[np.isfinite(thrown_m)])
     elif kind == "relief" and np.ptp(scene.height_range_m) > 0.0:
         met = blocked_by_relief(scene.world, scene.elevation, overview_probes(scene.world, scene.elevation, probes), probes, rays)
     else:
         met = np.zeros(rays.length_m.shape, bool)
-    return BlockedRays(met[0], met[1:], everyone)
+    return RayOcclusion(met[0], met[1:], all_probes)
 
 
-def _casting(lit: LitProbes, blocked: BlockedRays, facing_share: float, by_distance: bool) -> Casting:
+def _casting(lit: LitProbes, blocked: RayOcclusion, facing_share: float, by_distance: bool) -> Casting:
     """Return the cast shadows of one kind of casters on the visible surfaces.
 
     ``facing_share`` is the share of the visible surfaces that the lit probes represent.
     """
-    probes, away_m = lit.probes, np.maximum(lit.probes.away_m, MIN_DISTANCE_M)
+    probes, distance_m = lit.probes, np.maximum(lit.probes.distance_m, MIN_DISTANCE_M)
     octave, of_band = np.unique(
-        np.ceil(np.log2(away_m)).astype(int) if by_distance else np.zeros(len(probes), int), return_inverse=True
+        np.ceil(np.log2(distance_m)).astype(int) if by_distance else np.zeros(len(probes), int), return_inverse=True
     )
-    beside = of_band[blocked.which]
-    changed = blocked.beside != blocked.itself[blocked.which]
+    at_offsets = of_band[blocked.indices]
+    changed = blocked.at_offsets != blocked.at_probes[blocked.indices]
 
     def sums(values: np.ndarray, band: np.ndarray = of_band) -> np.ndarray:
         return np.bincount(band, values, minlength=len(octave))
 
     count = np.bincount(of_band)
     differs = (
-        np.stack([sums(one, beside) for one in changed], axis=1)
-        / np.maximum(np.bincount(beside, minlength=len(octave)), 1)[:, None]
+        np.stack([sums(one, at_offsets) for one in changed], axis=1)
+        / np.maximum(np.bincount(at_offsets, minlength=len(octave)), 1)[:, None]
     )
-    cast, pixel_m = sums(blocked.itself) / count, sums(probes.pixel_m) / count
+    cast, pixel_m = sums(blocked.at_probes) / count, sums(probes.pixel_m) / count
     light_m = sums(lit.length_m) / count
     bands = tuple(
         CastBand(
@@ -213,10 +217,10 @@ def _casting(lit: LitProbes, blocked: BlockedRays, facing_share: float, by_dista
         )
         for i, number in enumerate(octave.tolist())
     )  # fmt: skip
-    on_bodies = float((blocked.itself & (probes.kind != RELIEF)).mean())
+    on_bodies = float((blocked.at_probes & (probes.kind != RELIEF)).mean())
     thrown_m = float(np.median(blocked.thrown_m)) if blocked.thrown_m is not None and len(blocked.thrown_m) else None
     return Casting(
-        share=facing_share * float(blocked.itself.mean()), on_bodies=facing_share * on_bodies, bands=bands, thrown_m=thrown_m
+        share=facing_share * float(blocked.at_probes.mean()), on_bodies=facing_share * on_bodies, bands=bands, thrown_m=thrown_m
     )
 
 
@@ -241,30 +245,30 @@ def area_share_of_lamp(lamp: Lamp, probes: Probes) -> float:
     if lamp.kind == "omni":
         face = np.argmax(np.abs(in_lamp), axis=1)
         largest = np.take_along_axis(in_lamp, face[:, None], axis=1)
-        others = np.take_along_axis(in_lamp, np.stack([(face + 1) % 3, (face + 2) % 3], axis=1), axis=1)
-        cell = np.clip(((others / np.abs(largest) + 1.0) / 2.0 * ALL_ROUND_PARTS).astype(int), 0, ALL_ROUND_PARTS - 1)
-        number = ((2 * face + (largest[:, 0] > 0.0)) * ALL_ROUND_PARTS + cell[:, 0]) * ALL_ROUND_PARTS + cell[:, 1]
-        return len(np.unique(number)) / (6 * ALL_ROUND_PARTS**2)
-    widest = np.tan(np.radians(lamp.cutoff_deg))
+        tangential = np.take_along_axis(in_lamp, np.stack([(face + 1) % 3, (face + 2) % 3], axis=1), axis=1)
+        cell = np.clip(((tangential / np.abs(largest) + 1.0) / 2.0 * CUBE_FACE_PARTS).astype(int), 0, CUBE_FACE_PARTS - 1)
+        number = ((2 * face + (largest[:, 0] > 0.0)) * CUBE_FACE_PARTS + cell[:, 0]) * CUBE_FACE_PARTS + cell[:, 1]
+        return len(np.unique(number)) / (6 * CUBE_FACE_PARTS**2)
+    max_tangent = np.tan(np.radians(lamp.cutoff_deg))
     ahead = in_lamp[:, 2] > 0.0
     tangents = in_lamp[ahead, :2] / in_lamp[ahead, 2:]
-    tangents = tangents[np.linalg.norm(tangents, axis=1) <= widest]
-    return float(min(np.prod(np.ptp(tangents, axis=0)) / (2.0 * widest) ** 2, 1.0)) if len(tangents) else 0.0
+    tangents = tangents[np.linalg.norm(tangents, axis=1) <= max_tangent]
+    return float(min(np.prod(np.ptp(tangents, axis=0)) / (2.0 * max_tangent) ** 2, 1.0)) if len(tangents) else 0.0
 
 
 def _silhouette(scene: Scene, camera: PerspectiveView | None, probes: Probes, lamp: Lamp | None) -> dict[str, float]:
     """Return the silhouette facts of the meshes, as keyword arguments of ``LightFacts``."""
     if lamp is None:
         assert scene.sun is not None
-        light, at_place = scene.sun.to_sun_earth, False
+        light, is_positional = scene.sun.to_sun_earth, False
     else:
-        light, at_place = lamp.position_earth_m, True
-    ends = silhouette_of(scene.objects, light, at_place)
+        light, is_positional = lamp.position_earth_m, True
+    ends = silhouette_of(scene.objects, light, is_positional)
     if camera is None or not len(ends):
         return {"silhouette_edges": len(ends)}
     seen = (ends - camera.eye_earth_m) @ camera.earth_from_camera
     first, count = np.array([camera.col0, camera.row0]), np.array([camera.cols, camera.rows])
     bounds = np.stack([first - 0.5 * camera.step, first + (count - 0.5) * camera.step]) / camera.focal_px
-    from_eye = probes.some(stratified_indices(len(probes), EYE_RAYS)).point_earth_m - camera.eye_earth_m
-    passed = layers_before(ends, light, at_place, np.broadcast_to(camera.eye_earth_m, from_eye.shape), from_eye)
-    return {"silhouette_edges": len(ends), "silhouette_px": length_px(seen, *bounds) / camera.pixel, "volume_layers": passed}
+    from_eye = probes.select(stratified_indices(len(probes), EYE_RAYS)).point_earth_m - camera.eye_earth_m
+    passed = mean_volume_layers(ends, light, is_positional, np.broadcast_to(camera.eye_earth_m, from_eye.shape), from_eye)
+    return {"silhouette_edges": len(ends), "silhouette_px": projected_length(seen, *bounds) / camera.pixel, "volume_layers": passed}

@@ -60,7 +60,7 @@ class Bvh:
 
 def blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) -> np.ndarray:
     """Return whether each ray (1 + k, n) hits the casters of the meshes before it reaches the light, bool."""
-    tree = _tree_of(objects)
+    tree = _caster_bvh(objects)
     frame = probes.frame
     side = np.where(np.einsum("ij,ij->i", probes.normal_frame, rays.direction_frame[0]) < 0.0, -1.0, 1.0)
     lift = (RAY_OFFSET_SHARE * tree.extent_m * side)[:, None] * probes.normal_frame
@@ -70,7 +70,7 @@ def blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) ->
 
 def any_hit(tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
     """Return whether each ray hits a triangle within its length (...), bool. Starts (..., 3) are relative to the BVH's origin."""
-    return np.isfinite(_met_by(tree, start_m, direction, length_m, False)[0])
+    return np.isfinite(_find_hits(tree, start_m, direction, length_m, False)[0])
 
 
 def first_mesh_hits(
@@ -81,26 +81,26 @@ def first_mesh_hits(
     Rays have starts (n, 3), directions (n, 3) and lengths (n,). The distance is infinite without a hit within the length. Unit
     normals point towards the start.
     """
-    tree = _tree_of(objects)
+    tree = _caster_bvh(objects)
     start = frame.directions_to_earth(start_frame_m) + (frame.origin_earth_m - tree.origin_earth_m)
-    away_m, triangle = _met_by(tree, start, frame.directions_to_earth(direction_frame), length_m, True)
+    distance_m, triangle = _find_hits(tree, start, frame.directions_to_earth(direction_frame), length_m, True)
     normal = frame.directions_from_earth(np.cross(tree.side_a[triangle], tree.side_b[triangle]))
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    return away_m, np.where(np.einsum("ij,ij->i", normal, direction_frame)[:, None] > 0.0, -normal, normal)
+    return distance_m, np.where(np.einsum("ij,ij->i", normal, direction_frame)[:, None] > 0.0, -normal, normal)
 
 
-def _met_by(
+def _find_hits(
     tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray, nearest: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance (...) along each ray to the nearest or to any hit, infinite without one, and its triangle (...)."""
     start, directions = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
     boxes = tree.low, tree.high, tree.first, tree.count
-    found = _met(*boxes, tree.corner, tree.side_a, tree.side_b, start, directions, np.ravel(length_m), nearest)
+    found = _trace(*boxes, tree.corner, tree.side_a, tree.side_b, start, directions, np.ravel(length_m), nearest)
     return found[0].reshape(np.shape(length_m)), found[1].reshape(np.shape(length_m))
 
 
 @cached("scene", 512 * MIB)
-def _tree_of(objects: SceneObjects) -> Bvh:
+def _caster_bvh(objects: SceneObjects) -> Bvh:
     solids = objects.solids
     assert solids is not None
     return bvh_of(solids.caster_vertices_earth_m, solids.caster_triangles)
@@ -111,13 +111,13 @@ def bvh_of(vertices: np.ndarray, triangles: np.ndarray) -> Bvh:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     origin, extent = (low + high) / 2, max(float(np.max(high - low)), 1e-9)
     points = (vertices - origin)[triangles]
-    order, low, high, first, count = _built(points.min(axis=1), points.max(axis=1), MAX_LEAF_TRIANGLES, BINS)
+    order, low, high, first, count = _build_bvh(points.min(axis=1), points.max(axis=1), MAX_LEAF_TRIANGLES, BINS)
     corner, b, c = (np.ascontiguousarray(points[order, k]) for k in range(3))
     return Bvh(origin, extent, low, high, first, count, corner, b - corner, c - corner)
 
 
 @compiled
-def _built(box_low, box_high, leaf, bins):
+def _build_bvh(box_low, box_high, leaf, bins):
     """Return the order of triangles with boxes (m, 3), and the nodes of their BVH. Node 0 is the root."""
     m = len(box_low)
     order = np.arange(m)
@@ -130,43 +130,43 @@ def _built(box_low, box_high, leaf, bins):
     cost_left = np.empty(bins)
     while node < nodes:
         start, end = first[node], first[node] + count[node]
-        least, most = np.full(3, np.inf), np.full(3, -np.inf)
+        centre_low, centre_high = np.full(3, np.inf), np.full(3, -np.inf)
         for i in range(start, end):
             for k in range(3):
                 low[node, k], high[node, k] = min(low[node, k], box_low[order[i], k]), max(high[node, k], box_high[order[i], k])
-                least[k], most[k] = min(least[k], middle[order[i], k]), max(most[k], middle[order[i], k])
+                centre_low[k], centre_high[k] = min(centre_low[k], middle[order[i], k]), max(centre_high[k], middle[order[i], k])
         if end - start > leaf:
             best, best_axis, best_bin = np.inf, -1, 0
             for axis in range(3):
-                if not most[axis] > least[axis]:
+                if not centre_high[axis] > centre_low[axis]:
                     continue
-                scale = bins / (most[axis] - least[axis])
+                scale = bins / (centre_high[axis] - centre_low[axis])
                 bin_low[:], bin_high[:], bin_count[:] = np.inf, -np.inf, 0
                 for i in range(start, end):
-                    at = min(int((middle[order[i], axis] - least[axis]) * scale), bins - 1)
+                    at = min(int((middle[order[i], axis] - centre_low[axis]) * scale), bins - 1)
                     bin_count[at] += 1
                     for k in range(3):
                         bin_low[at, k] = min(bin_low[at, k], box_low[order[i], k])
                         bin_high[at, k] = max(bin_high[at, k], box_high[order[i], k])
-                for way in range(2):
-                    a, b, found = np.full(3, np.inf), np.full(3, -np.inf), 0
+                for direction in range(2):
+                    a, b, bin_total = np.full(3, np.inf), np.full(3, -np.inf), 0
                     for j in range(bins - 1):
-                        at = j if way == 0 else bins - 1 - j
-                        found += bin_count[at]
+                        at = j if direction == 0 else bins - 1 - j
+                        bin_total += bin_count[at]
                         for k in range(3):
                             a[k], b[k] = min(a[k], bin_low[at, k]), max(b[k], bin_high[at, k])
                         x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-                        cost = (x * y + y * z + z * x) * found if found > 0 else np.inf
-                        if way == 0:
+                        cost = (x * y + y * z + z * x) * bin_total if bin_total > 0 else np.inf
+                        if direction == 0:
                             cost_left[at] = cost
                         elif cost + cost_left[at - 1] < best:
                             best, best_axis, best_bin = cost + cost_left[at - 1], axis, at
             cut = start
             if best_axis >= 0:
-                scale = bins / (most[best_axis] - least[best_axis])
+                scale = bins / (centre_high[best_axis] - centre_low[best_axis])
                 for i in range(start, end):
                     t = order[i]
-                    if min(int((middle[t, best_axis] - least[best_axis]) * scale), bins - 1) < best_bin:
+                    if min(int((middle[t, best_axis] - centre_low[best_axis]) * scale), bins - 1) < best_bin:
                         order[i], order[cut] = order[cut], t
                         cut += 1
             if cut == start or cut == end:  # all centres coincide
@@ -180,21 +180,21 @@ def _built(box_low, box_high, leaf, bins):
 
 
 @compiled
-def _met(low, high, first, count, corner, side_a, side_b, start, direction, length, nearest):
+def _trace(low, high, first, count, corner, side_a, side_b, start, direction, length, find_nearest):
     away, number = np.full(len(start), np.inf), np.zeros(len(start), np.int64)
     stack = np.empty(256, np.int64)
     for n in range(len(start)):
         x, y, z = start[n, 0], start[n, 1], start[n, 2]
         dx, dy, dz = direction[n, 0], direction[n, 1], direction[n, 2]
         ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
-        most = length[n]
-        stack[0], waiting = 0, 1
-        while waiting > 0 and (nearest or away[n] == np.inf):
-            waiting -= 1
-            node = stack[waiting]
+        max_distance = length[n]
+        stack[0], stack_size = 0, 1
+        while stack_size > 0 and (find_nearest or away[n] == np.inf):
+            stack_size -= 1
+            node = stack[stack_size]
             # The product of 0 and infinity is NaN, with which all comparisons fail: a ray in the plane of a face may miss the box.
             a, b = (low[node, 0] - x) * ix, (high[node, 0] - x) * ix
-            near, far = max(0.0, min(a, b)), min(most, max(a, b))
+            near, far = max(0.0, min(a, b)), min(max_distance, max(a, b))
             a, b = (low[node, 1] - y) * iy, (high[node, 1] - y) * iy
             near, far = max(near, min(a, b)), min(far, max(a, b))
             a, b = (low[node, 2] - z) * iz, (high[node, 2] - z) * iz
@@ -202,8 +202,8 @@ def _met(low, high, first, count, corner, side_a, side_b, start, direction, leng
             if not near <= far:
                 continue
             if count[node] == 0:
-                stack[waiting], stack[waiting + 1] = first[node], first[node] + 1
-                waiting += 2
+                stack[stack_size], stack[stack_size + 1] = first[node], first[node] + 1
+                stack_size += 2
                 continue
             for t in range(first[node], first[node] + count[node]):
                 ax, ay, az = side_a[t, 0], side_a[t, 1], side_a[t, 2]
@@ -221,9 +221,9 @@ def _met(low, high, first, count, corner, side_a, side_b, start, direction, leng
                 if v < 0.0 or u + v > 1.0:
                     continue
                 s = (bx * qx + by * qy + bz * qz) / det
-                if 0.0 < s < most:
+                if 0.0 < s < max_distance:
                     away[n], number[n] = s, t
-                    if not nearest:
+                    if not find_nearest:
                         break
-                    most = s
+                    max_distance = s
     return away, number

@@ -19,7 +19,7 @@ from skugga.terrain.geo.world import LocalFrame
 PROBES = 1000
 """Maximum number of probes that send rays to a light."""
 
-HALF_A_HIT = 0.5 / PROBES
+MIN_CAST_SHARE = 0.5 / PROBES
 """Assumed share of shadows that no probe has hit: half the share of one probe."""
 
 PROBES_AMONG_TREES = 500
@@ -48,7 +48,7 @@ class Probes:
         Surface normals (n, 3), float64.
     pixel_m
         Side of a pixel at each point (n,), metres.
-    away_m
+    distance_m
         Distance from the eye (n,), metres; 0 in a map.
     kind
         Kind of surface (n,), as in ``skugga.terrain.gbuffer.resolve``.
@@ -60,16 +60,16 @@ class Probes:
     point_frame_m: np.ndarray
     normal_frame: np.ndarray
     pixel_m: np.ndarray
-    away_m: np.ndarray
+    distance_m: np.ndarray
     kind: np.ndarray
     number: np.ndarray
 
     def __len__(self) -> int:
         return len(self.number)
 
-    def some(self, which: np.ndarray) -> Probes:
+    def select(self, which: np.ndarray) -> Probes:
         """Return the probes at some indices or in a mask."""
-        names = ("point_frame_m", "normal_frame", "pixel_m", "away_m", "kind", "number")
+        names = ("point_frame_m", "normal_frame", "pixel_m", "distance_m", "kind", "number")
         return replace(self, **{name: getattr(self, name)[which] for name in names})
 
     @property
@@ -101,7 +101,7 @@ class ProbeRays:
         """Starts, directions and lengths of the rays."""
         return self.start_frame_m, self.direction_frame, self.length_m
 
-    def some(self, rows: slice, which: np.ndarray) -> ProbeRays:
+    def select(self, rows: slice, which: np.ndarray) -> ProbeRays:
         """Return the rays of some rows and of the probes at some indices."""
         return ProbeRays(*(array[rows][:, which] for array in self.arrays))
 
@@ -124,14 +124,14 @@ def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -
 
     ``direction_frame`` (n, 3) holds the unit directions from the probes to the light, ``length_m`` (n,) the distances.
     """
-    right, up = _across(direction_frame)
+    right, up = _perpendicular_axes(direction_frame)
     offset = (quasirandom(probes.number) - 0.5) * probes.pixel_m[:, None]
-    beside = offset[:, :1] * right + offset[:, 1:] * up
+    perpendicular = offset[:, :1] * right + offset[:, 1:] * up
     facing = np.einsum("ij,ij->i", probes.normal_frame, direction_frame)
     # Shift the places along the light onto the plane of the visible surface, where a shadow map compares.
-    along = -np.einsum("ij,ij->i", probes.normal_frame, beside) / np.where(facing == 0.0, 1e-30, facing)
-    most = MOST_PLANE * np.linalg.norm(offset, axis=1)
-    directions = beside + np.clip(along, -most, most)[:, None] * direction_frame
+    shift = -np.einsum("ij,ij->i", probes.normal_frame, perpendicular) / np.where(facing == 0.0, 1e-30, facing)
+    max_shift = MOST_PLANE * np.linalg.norm(offset, axis=1)
+    directions = perpendicular + np.clip(shift, -max_shift, max_shift)[:, None] * direction_frame
     sizes = np.array([0.0, *TEXEL_LADDER_PX])
     start = probes.point_frame_m + sizes[:, None, None] * directions
     if not np.isfinite(length_m).all():
@@ -142,7 +142,7 @@ def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -
     return ProbeRays(start, to_light / np.maximum(length, 1e-30)[..., None], length)
 
 
-def _across(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _perpendicular_axes(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return unit vectors right and up (n, 3), perpendicular to directions (n, 3). Right is horizontal."""
     flat = np.hypot(direction[:, 0], direction[:, 1])
     steep = flat < 1e-6

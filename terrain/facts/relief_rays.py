@@ -16,7 +16,7 @@ from skugga.terrain.compiled import compiled
 from skugga.terrain.facts.probes import ProbeRays, Probes
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.interpolation_loops import blend_corners, cell_before
+from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 
 SKIP_BLOCK_CELLS = 16
 """Side of the blocks of cells that a ray can skip at once."""
@@ -55,21 +55,21 @@ def overview_probes(world: World, elevation: Elevation, probes: Probes) -> Overv
 
     Rows and columns are not finite outside of the area of the CRS.
     """
-    return _on_overview(world, elevation, probes.frame, probes.point_earth_m)
+    return _locate_on_overview(world, elevation, probes.frame, probes.point_earth_m)
 
 
 def hidden_by_relief(
     world: World, elevation: Elevation, frame: LocalFrame, point_frame_m: np.ndarray, to_light: np.ndarray
 ) -> np.ndarray:
     """Return whether the overview's ground hides an infinitely distant light, in a direction (3,), from points (n, 3)."""
-    probes = _on_overview(world, elevation, frame, frame.points_to_earth(point_frame_m))
+    probes = _locate_on_overview(world, elevation, frame, frame.points_to_earth(point_frame_m))
     rays = ProbeRays(
         point_frame_m[None], np.broadcast_to(to_light, (1, *point_frame_m.shape)), np.full((1, len(point_frame_m)), np.inf)
     )
-    return _hidden(world, elevation, probes, np.zeros((1, *point_frame_m.shape)), rays)[0]
+    return _is_hidden(world, elevation, probes, np.zeros((1, *point_frame_m.shape)), rays)[0]
 
 
-def _on_overview(world: World, elevation: Elevation, frame: LocalFrame, point_earth_m: np.ndarray) -> OverviewProbes:
+def _locate_on_overview(world: World, elevation: Elevation, frame: LocalFrame, point_earth_m: np.ndarray) -> OverviewProbes:
     x, y, height = world.map_position(elevation.crs, point_earth_m)
     if elevation.crs.is_geographic:  # the longitude nearest to the middle of the raster
         x = x + 360.0 * np.rint(((elevation.bounds[0] + elevation.bounds[2]) / 2 - x) / 360.0)
@@ -92,29 +92,29 @@ def _inverse(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def blocked_by_relief(world: World, elevation: Elevation, at: OverviewProbes, probes: Probes, rays: ProbeRays) -> np.ndarray:
     """Return whether the ground blocks each ray (1 + k, n), bool. ``at`` holds the positions of the probes on the overview."""
-    return _hidden(world, elevation, at, rays.start_frame_m - probes.point_frame_m, rays)
+    return _is_hidden(world, elevation, at, rays.start_frame_m - probes.point_frame_m, rays)
 
 
-def _hidden(world: World, elevation: Elevation, at: OverviewProbes, beside: np.ndarray, rays: ProbeRays) -> np.ndarray:
-    """Return whether the ground blocks each ray (k, n). ``beside`` (k, n, 3) are the offsets of the starts from the probes."""
-    heights, tops = _grid(elevation)
-    along = rays.direction_frame
+def _is_hidden(world: World, elevation: Elevation, at: OverviewProbes, start_offset: np.ndarray, rays: ProbeRays) -> np.ndarray:
+    """Return whether the ground blocks each ray (k, n). ``start_offset`` (k, n, 3) are the offsets of the starts from the probes."""
+    heights, tops = _heights_and_block_maxima(elevation)
+    direction = rays.direction_frame
 
     def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.einsum("kij,ij->ki", a, b)
 
-    rise = dot(along, at.up)
+    rise = dot(direction, at.up)
     bend = world.curvature / 2.0
     return _blocked(
         heights, tops, tops.max(), SKIP_BLOCK_CELLS,
-        at.row + dot(beside, at.row_from_frame), at.col + dot(beside, at.col_from_frame),
-        at.height_m + dot(beside, at.up), dot(along, at.row_from_frame), dot(along, at.col_from_frame), rise,
+        at.row + dot(start_offset, at.row_from_frame), at.col + dot(start_offset, at.col_from_frame),
+        at.height_m + dot(start_offset, at.up), dot(direction, at.row_from_frame), dot(direction, at.col_from_frame), rise,
         bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), NEAREST_CELLS,
     )  # fmt: skip
 
 
 @cached("scene", 256 * MIB)
-def _grid(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
+def _heights_and_block_maxima(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     """Return the overview's heights, with -1e9 for nodata, and the maximum of each block of cells with the ring round it."""
     from scipy.ndimage import maximum_filter
 
@@ -126,16 +126,16 @@ def _grid(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def _blocked(heights, tops, highest, side, row, col, height, d_row, d_col, rise, bend, length, nearest):
+def _blocked(heights, block_max, highest, side, row, col, height, d_row, d_col, rise, bend, length, nearest):
     rows, cols = heights.shape
     out = np.empty(row.shape, np.bool_)
     for i in range(row.shape[0]):
         for n in range(row.shape[1]):
             out[i, n] = False
-            fastest = max(abs(d_row[i, n]), abs(d_col[i, n]))
-            if not (fastest > 1e-12):  # vertical, or NaN outside of the CRS
+            max_rate = max(abs(d_row[i, n]), abs(d_col[i, n]))
+            if not (max_rate > 1e-12):  # vertical, or NaN outside of the CRS
                 continue
-            step = 1.0 / fastest
+            step = 1.0 / max_rate
             t = nearest * step
             while t < length[i, n]:
                 r, c = row[i, n] + t * d_row[i, n], col[i, n] + t * d_col[i, n]
@@ -143,15 +143,15 @@ def _blocked(heights, tops, highest, side, row, col, height, d_row, d_col, rise,
                 if not (0.0 <= r <= rows - 1 and 0.0 <= c <= cols - 1) or (h > highest and rise[i, n] >= 0.0):
                     break
                 block_row, block_col = int(r) // side, int(c) // side
-                if rise[i, n] >= 0.0 and h > tops[block_row, block_col]:
+                if rise[i, n] >= 0.0 and h > block_max[block_row, block_col]:
                     # Step to the far edge of the block, and slightly beyond it because of rounding.
-                    over = 1e-6
+                    epsilon = 1e-6
                     out_row = ((block_row + (d_row[i, n] > 0.0)) * side - r) / d_row[i, n] if d_row[i, n] != 0.0 else np.inf
                     out_col = ((block_col + (d_col[i, n] > 0.0)) * side - c) / d_col[i, n] if d_col[i, n] != 0.0 else np.inf
-                    t += max(min(out_row, out_col), 0.0) + over * step
+                    t += max(min(out_row, out_col), 0.0) + epsilon * step
                     continue
-                r0, r1, down = cell_before(r, rows)
-                c0, c1, across = cell_before(c, cols)
+                r0, r1, down = cell_interval(r, rows)
+                c0, c1, across = cell_interval(c, cols)
                 if blend_corners(heights[r0, c0], heights[r0, c1], heights[r1, c0], heights[r1, c1], down, across) > h:
                     out[i, n] = True
                     break

@@ -27,37 +27,37 @@ EYE_RAYS = 48
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeFaces:
+class MeshEdges:
     """Edges of a mesh with their adjacent triangles.
 
     Attributes
     ----------
     ends
         Vertex numbers (e, 2), int32.
-    beside
+    triangle_pair
         Adjacent triangles (e, 2), int32; -1 is none. An edge of more than two triangles has two of them.
     """
 
     ends: np.ndarray
-    beside: np.ndarray
+    triangle_pair: np.ndarray
 
 
-def edge_faces_of(vertex: np.ndarray, triangles: np.ndarray) -> EdgeFaces:
+def mesh_edges(vertex: np.ndarray, triangles: np.ndarray) -> MeshEdges:
     """Return the edges of triangles (m, 3). ``vertex`` (m, 3) are the same triangles with coincident vertices merged."""
     start, end = vertex.ravel().astype(np.int64), np.roll(vertex, -1, axis=1).ravel().astype(np.int64)
     low, high = np.minimum(start, end), np.maximum(start, end)
     keys = low * (int(high.max(initial=0)) + 1) + high
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    many = np.diff(first, append=len(keys)) > 1
-    second = np.where(many, order[np.minimum(first + 1, len(keys) - 1)] // 3, -1)
+    is_shared = np.diff(first, append=len(keys)) > 1
+    second = np.where(is_shared, order[np.minimum(first + 1, len(keys) - 1)] // 3, -1)
     one = order[first]
     ends = np.stack([triangles.ravel()[one], np.roll(triangles, -1, axis=1).ravel()[one]], axis=1)
-    return EdgeFaces(ends.astype(np.int32), np.stack([one // 3, second], axis=1).astype(np.int32))
+    return MeshEdges(ends.astype(np.int32), np.stack([one // 3, second], axis=1).astype(np.int32))
 
 
 @cached("scene", 256 * MIB)
-def _edges_of_bodies(placement: Placement) -> EdgeFaces:
+def _edges_of_bodies(placement: Placement) -> MeshEdges:
     """Return the edges of all casting bodies, which do not depend on time. Bodies share no edges."""
     vertex, triangles, places, vertices = [], [], 0, 0
     for placed in placement.casting:
@@ -66,7 +66,7 @@ def _edges_of_bodies(placement: Placement) -> EdgeFaces:
         triangles.append(placed.body.triangles + np.int64(vertices))
         places += int(merged.max(initial=-1)) + 1
         vertices += len(placed.body.vertices_m)
-    return edge_faces_of(np.concatenate(vertex), np.concatenate(triangles))
+    return mesh_edges(np.concatenate(vertex), np.concatenate(triangles))
 
 
 @cached("scene", 256 * MIB)
@@ -78,35 +78,37 @@ def _faces(objects: SceneObjects) -> tuple[np.ndarray, np.ndarray]:
     return np.cross(b - a, c - a), a
 
 
-def silhouette_of(objects: SceneObjects, light_earth: np.ndarray, at_place: bool) -> np.ndarray:
+def silhouette_of(objects: SceneObjects, light_earth: np.ndarray, is_positional: bool) -> np.ndarray:
     """Return both ends of the silhouette edges of the meshes, shape (k, 2, 3), float64, earth-fixed metres.
 
-    ``light_earth`` (3,) is the direction to the light, or its position if ``at_place``.
+    ``light_earth`` (3,) is the direction to the light, or its position if ``is_positional``.
     """
     assert objects.solids is not None and objects.placement is not None
     edges, (normal, corner) = _edges_of_bodies(objects.placement), _faces(objects)
-    chosen = _chosen(normal, corner, edges.beside, np.asarray(light_earth, np.float64), 1.0 if at_place else 0.0)
+    chosen = _silhouette_edges(
+        normal, corner, edges.triangle_pair, np.asarray(light_earth, np.float64), 1.0 if is_positional else 0.0
+    )
     return objects.solids.caster_vertices_earth_m[edges.ends[chosen]]
 
 
 @compiled
-def _chosen(normal, corner, beside, light, weight):
+def _silhouette_edges(normal, corner, triangle_pair, light, weight):
     facing = np.empty(len(normal), np.bool_)
     for t in range(len(normal)):
         facing[t] = (
             normal[t, 0] * (light[0] - weight * corner[t, 0]) + normal[t, 1] * (light[1] - weight * corner[t, 1])
             + normal[t, 2] * (light[2] - weight * corner[t, 2])
         ) > 0.0  # fmt: skip
-    out = np.empty(len(beside), np.int64)
+    out = np.empty(len(triangle_pair), np.int64)
     count = 0
-    for e in range(len(beside)):
-        if beside[e, 1] < 0 or facing[beside[e, 0]] != facing[beside[e, 1]]:
+    for e in range(len(triangle_pair)):
+        if triangle_pair[e, 1] < 0 or facing[triangle_pair[e, 0]] != facing[triangle_pair[e, 1]]:
             out[count] = e
             count += 1
     return out[:count].copy()
 
 
-def length_px(ends_camera: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+def projected_length(ends_camera: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
     """Return the total length of edges (k, 2, 3), in camera axes, inside a picture from ``low`` to ``high`` (2,), as tangents."""
     return float(_length(ends_camera, low, high))
 
@@ -142,31 +144,34 @@ def _length(ends, low, high):
     return total
 
 
-def layers_before(
-    ends_earth_m: np.ndarray, light_earth: np.ndarray, at_place: bool, start_earth_m: np.ndarray, way_m: np.ndarray
+def mean_volume_layers(
+    ends_earth_m: np.ndarray, light_earth: np.ndarray, is_positional: bool, start_earth_m: np.ndarray, segment_m: np.ndarray
 ) -> float:
     """Return the mean number of shadow-volume sides that rays cross.
 
-    The sides start at edges (k, 2, 3) and extend away from the light. The rays are segments ``way_m`` (n, 3) from starts (n, 3).
+    The sides start at edges (k, 2, 3) and extend away from the light. The rays are segments ``segment_m`` (n, 3) from starts (n, 3).
     """
-    if not len(ends_earth_m) or not len(way_m):
+    if not len(ends_earth_m) or not len(segment_m):
         return 0.0
     count = min(len(ends_earth_m), MOST_SIDES)
     sampled_ends = ends_earth_m[(np.arange(count) * (len(ends_earth_m) / count)).astype(np.int64)]
     near = start_earth_m[0]  # origin near the rays, for precision
-    light = light_earth - near if at_place else light_earth
+    light = light_earth - near if is_positional else light_earth
     return (
-        _passed(sampled_ends - near, start_earth_m - near, way_m, light, float(at_place)) / len(way_m) * len(ends_earth_m) / count
+        _count_crossings(sampled_ends - near, start_earth_m - near, segment_m, light, float(is_positional))
+        / len(segment_m)
+        * len(ends_earth_m)
+        / count
     )
 
 
 @compiled
-def _passed(ends, start, way, light, weight):
+def _count_crossings(ends, start, segment, light, weight):
     """Count the crossings of rays with the strips from edges away from a light.
 
     From the ends a and b of an edge a strip extends along a - l and b - l, or along -l if the light is a direction.
     """
-    passed = 0
+    crossings = 0
     for e in range(len(ends)):
         a0, a1, a2 = ends[e, 0, 0], ends[e, 0, 1], ends[e, 0, 2]
         b0, b1, b2 = ends[e, 1, 0] - a0, ends[e, 1, 1] - a1, ends[e, 1, 2] - a2
@@ -185,7 +190,7 @@ def _passed(ends, start, way, light, weight):
         if g0 * b0 + g1 * b1 + g2 * b2 > 0.0:
             g0, g1, g2 = -g0, -g1, -g2
         for i in range(len(start)):
-            towards = n0 * way[i, 0] + n1 * way[i, 1] + n2 * way[i, 2]
+            towards = n0 * segment[i, 0] + n1 * segment[i, 1] + n2 * segment[i, 2]
             x, y, z = start[i, 0] - a0, start[i, 1] - a1, start[i, 2] - a2
             s = -(n0 * x + n1 * y + n2 * z)
             if towards < 0.0:
@@ -193,10 +198,10 @@ def _passed(ends, start, way, light, weight):
             if not (0.0 < s < towards):
                 continue
             s /= towards
-            x, y, z = x + s * way[i, 0], y + s * way[i, 1], z + s * way[i, 2]
+            x, y, z = x + s * segment[i, 0], y + s * segment[i, 1], z + s * segment[i, 2]
             if (
                 e0 * x + e1 * y + e2 * z > 0.0 and f0 * x + f1 * y + f2 * z > 0.0
                 and g0 * (x - b0) + g1 * (y - b1) + g2 * (z - b2) > 0.0
             ):  # fmt: skip
-                passed += 1
-    return passed
+                crossings += 1
+    return crossings

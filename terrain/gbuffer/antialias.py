@@ -12,33 +12,33 @@ from typing import Any
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.id_buffer import NEAR_M
-from skugga.terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of, imagery_of
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
+from skugga.terrain.gbuffer.view_geometry import RasterisedView, geometry_buffer, ground_imagery, resolve_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.meshes.facets import face_normals
 from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
-SIDE = 2
+SAMPLES_PER_SIDE = 2
 """Side of the sample grid of a pixel on an edge. The pixel's own point is one more sample."""
 
-EVERY, DIAGONAL = (0, 1, 2, 3), (0, 3)
-"""The positions of the sample grid in use: all, or two diagonal ones in pictures with many edges (``DENSE``)."""
+ALL_SAMPLES, DIAGONAL_SAMPLES = (0, 1, 2, 3), (0, 3)
+"""The positions of the sample grid in use: all, or two diagonal ones in pictures with many edges (``DENSE_EDGE_SHARE``)."""
 
-DENSE = 0.12
+DENSE_EDGE_SHARE = 0.12
 """Share of pixels on edges above which the diagonal samples are used, as in woods."""
 
-BEND = 0.9
+MIN_FACE_COSINE = 0.9
 """Cosine between the normals of neighbouring mesh faces below which an edge lies between them."""
 
-JUMP = 0.02
+MAX_DEPTH_STEP = 0.02
 """Maximum difference between the distances of two neighbours without an edge between them, as a share of the smaller distance."""
 
-CROSS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
+CROSS_OFFSETS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
 """Row and column offsets of a pixel and its four neighbours, which decide whether the pixel lies on an edge."""
 
 
@@ -61,17 +61,17 @@ class MultisampledBuffer:
     buffer: GeometryBuffer
     rows: int
     pixels: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
-    each: int = len(EVERY)
+    each: int = len(ALL_SAMPLES)
 
     @property
-    def sampled(self) -> bool:
+    def has_samples(self) -> bool:
         """Whether any pixel has samples."""
         return len(self.pixels[0]) > 0
 
     @cached_property
     def own(self) -> GeometryBuffer:
         """The buffer of the picture's own pixels, without samples."""
-        if not self.sampled:
+        if not self.has_samples:
             return self.buffer
         shape = self.buffer.there.shape
         changes: dict[str, Any] = {}
@@ -95,18 +95,18 @@ class MultisampledBuffer:
         """Return the picture (rows, cols, k) of linear values of all points: the mean over each pixel's samples."""
         out = linear[: self.rows].copy()
         samples = linear[self.rows :].reshape(-1, linear.shape[-1])
-        in_shares(len(self.pixels[0]), _mix_in, *self.pixels, samples, self.each, out)
+        run_in_chunks(len(self.pixels[0]), _average_samples, *self.pixels, samples, self.each, out)
         return out
 
 
 def finer_view(view: PerspectiveView) -> PerspectiveView:
     """Return the view of the same camera that has a pixel for each possible sample."""
-    return view.finer(SIDE)
+    return view.finer(SAMPLES_PER_SIDE)
 
 
 def samples_per_pixel(edge_share: float) -> float:
     """Return the mean number of extra samples of a perspective view's pixel, from the share of pixels on edges."""
-    return edge_share * len(DIAGONAL if edge_share > DENSE else EVERY)
+    return edge_share * len(DIAGONAL_SAMPLES if edge_share > DENSE_EDGE_SHARE else ALL_SAMPLES)
 
 
 def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> MultisampledBuffer:
@@ -114,14 +114,14 @@ def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> Multisample
 
     A map has no samples yet: its edges are known once its shadows are (``skugga.shadows.map_edges``).
     """
-    return MultisampledBuffer(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else multisampled(scene, view)
+    return MultisampledBuffer(geometry_buffer(scene, view), view.rows) if isinstance(view, MapView) else multisampled(scene, view)
 
 
-def _made_from(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
-    return scene.world, scene.elevation, scene.map_crs, scene.objects, imagery_of(scene), view.numbers
+def _cache_key(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
+    return scene.world, scene.elevation, scene.map_crs, scene.objects, ground_imagery(scene), view.cache_key
 
 
-@cached("scene", 512 * MIB, key=_made_from, most=1)
+@cached("scene", 512 * MIB, key=_cache_key, max_entries=1)
 def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
     """Return a perspective view's buffer with samples in the pixels on edges.
 
@@ -131,20 +131,20 @@ def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
     frame = view.frame(scene.world)
     visible = RasterisedView(scene, view, frame)
     normals = mesh_normals(scene.objects)
-    row, col = np.nonzero(edges_between(visible.seen.number, visible.seen.depth, len(visible.ground.triangles), normals, NEAR_M))
+    row, col = np.nonzero(edge_mask(visible.seen.number, visible.seen.depth, len(visible.ground.triangles), normals, NEAR_M))
     if not len(row):
-        return MultisampledBuffer(buffer_of(scene, view, visible), view.rows)
-    places = np.array(DIAGONAL if len(row) > DENSE * view.rows * view.cols else EVERY)
+        return MultisampledBuffer(resolve_buffer(scene, view, visible), view.rows)
+    places = np.array(DIAGONAL_SAMPLES if len(row) > DENSE_EDGE_SHARE * view.rows * view.cols else ALL_SAMPLES)
     spare = -len(row) * len(places) % view.cols
     fine_row, fine_col = (
-        np.pad((pixel_index[:, None] * SIDE + inside).ravel(), (0, spare), mode="edge").reshape(-1, view.cols)
-        for pixel_index, inside in ((row, places // SIDE), (col, places % SIDE))
+        np.pad((pixel_index[:, None] * SAMPLES_PER_SIDE + inside).ravel(), (0, spare), mode="edge").reshape(-1, view.cols)
+        for pixel_index, inside in ((row, places // SAMPLES_PER_SIDE), (col, places % SAMPLES_PER_SIDE))
     )
     finer = finer_view(view)
-    wanted = np.zeros((finer.rows, finer.cols), np.bool_)
-    wanted[fine_row, fine_col] = True
-    below = (finer, RasterisedView(scene, finer, frame, wanted=wanted), (fine_row, fine_col))
-    return MultisampledBuffer(buffer_of(scene, view, visible, below), view.rows, (row, col), len(places))
+    pixel_mask = np.zeros((finer.rows, finer.cols), np.bool_)
+    pixel_mask[fine_row, fine_col] = True
+    samples = (finer, RasterisedView(scene, finer, frame, pixel_mask=pixel_mask), (fine_row, fine_col))
+    return MultisampledBuffer(resolve_buffer(scene, view, visible, samples), view.rows, (row, col), len(places))
 
 
 @cached("scene", 128 * MIB)
@@ -154,25 +154,25 @@ def mesh_normals(objects: SceneObjects) -> np.ndarray:
     return np.zeros((0, 3), np.float32) if solids is None else face_normals(solids.vertices_earth_m, solids.triangles)
 
 
-def edges_between(number: np.ndarray, depth: np.ndarray, ground: int, normals: np.ndarray, near_m: float) -> np.ndarray:
+def edge_mask(number: np.ndarray, depth: np.ndarray, ground: int, normals: np.ndarray, near_m: float) -> np.ndarray:
     """Return the mask (rows, cols) of pixels on edges, on both sides of each edge.
 
     ``number`` counts triangles from 1: the first ``ground`` are the ground's, then come those of the meshes, with normals (m, 3).
     ``depth`` is ``near_m`` over the distance along the view's axis.
     """
-    return _edges(number, depth, ground, normals, near_m, BEND, JUMP)
+    return _edges(number, depth, ground, normals, near_m, MIN_FACE_COSINE, MAX_DEPTH_STEP)
 
 
-def edges_in_neighbours(number: np.ndarray, away_m: np.ndarray, ground: int, normals: np.ndarray) -> np.ndarray:
+def edge_mask_of_crosses(number: np.ndarray, distance_m: np.ndarray, ground: int, normals: np.ndarray) -> np.ndarray:
     """Return which single pixels (n,) lie on edges.
 
-    The last axis of ``number`` and of the distances ``away_m`` (n, 5) follows ``CROSS``: the pixel itself first.
+    The last axis of ``number`` and of the distances ``distance_m`` (n, 5) follows ``CROSS_OFFSETS``: the pixel itself first.
     """
-    return _crossed(number, away_m, ground, normals, BEND, JUMP)
+    return _edges_of_crosses(number, distance_m, ground, normals, MIN_FACE_COSINE, MAX_DEPTH_STEP)
 
 
 @compiled
-def _mix_in(first, last, row, col, samples, each, out):
+def _average_samples(first, last, row, col, samples, each, out):
     """Write the mean of each pixel and its samples, which are consecutive rows of ``samples`` (n * each, k), to the picture."""
     for n in range(first, last):
         for k in range(out.shape[2]):
@@ -194,35 +194,35 @@ def _edges(number, depth, ground, normals, near, bend, jump):
                 if a >= rows or b >= cols:
                     continue
                 other = np.int64(number[a, b]) - 1
-                if _ends(own, other, near / depth[i, j], near / depth[a, b], ground, normals, bend, jump):
+                if _is_edge(own, other, near / depth[i, j], near / depth[a, b], ground, normals, bend, jump):
                     out[i, j] = True
                     out[a, b] = True
     return out
 
 
 @compiled
-def _crossed(number, away, ground, normals, bend, jump):
+def _edges_of_crosses(number, away, ground, normals, bend, jump):
     out = np.zeros(len(number), np.bool_)
     for n in range(len(number)):
         own = np.int64(number[n, 0]) - 1
         for k in range(1, number.shape[1]):
             other = np.int64(number[n, k]) - 1
-            if _ends(own, other, away[n, 0], away[n, k], ground, normals, bend, jump):
+            if _is_edge(own, other, away[n, 0], away[n, k], ground, normals, bend, jump):
                 out[n] = True
     return out
 
 
 @internal
-def _ends(own, other, here, there, ground, normals, bend, jump):
+def _is_edge(own, other, distance, neighbour_distance, ground, normals, bend, jump):
     """Return whether an edge lies between two neighbours.
 
-    Triangles count from 0 (negative: none). ``here`` and ``there`` are distances along the view's axis.
+    Triangles count from 0 (negative: none). ``distance`` and ``neighbour_distance`` are distances along the view's axis.
     """
     if own == other:
         return False
     if _kind(own, ground, len(normals)) != _kind(other, ground, len(normals)):
         return True
-    if abs(here - there) > jump * min(here, there):
+    if abs(distance - neighbour_distance) > jump * min(distance, neighbour_distance):
         return True
     if not ground <= own < ground + len(normals):
         return False

@@ -13,7 +13,7 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal
-from skugga.terrain.gbuffer.geometry import normal_reach
+from skugga.terrain.gbuffer.geometry import normal_stencil_radius
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.elevation import Elevation
@@ -21,11 +21,11 @@ from skugga.terrain.ground.sky_view_factor import (
     STEREOGRAPHIC,
     SkyView,
     cell_in_square,
-    corners_of_square,
     hidden_on_row,
-    in_plane,
+    lattice_square,
+    project_to_plane,
     pyramid_level,
-    square_of_lattice,
+    square_corners,
 )
 from skugga.terrain.ground.surface import Surface, at_height, between_columns, between_rows, map_pixel_m
 from skugga.terrain.scene import Scene
@@ -79,7 +79,7 @@ def bare_ground(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround 
     return _bare_ground(scene.world, scene.elevation, view, sky)
 
 
-def forget_ground_before(most: int) -> None:
+def trim_bare_ground_cache(most: int) -> None:
     """Trim the cache to the ``most`` blocks used last, for a raster that is processed once from end to end."""
     _bare_ground.cache.trim(most)
 
@@ -87,7 +87,7 @@ def forget_ground_before(most: int) -> None:
 @cached("scene", 448 * MIB)
 def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView | None) -> BareGround | None:
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
-    reach = normal_reach(surface)
+    reach = normal_stencil_radius(surface)
     row0, col0 = int(view.row0) - reach, int(view.col0) - reach
     nodes = surface.height_window(row0, col0, view.rows + 2 * reach, view.cols + 2 * reach)
     height, shown = nodes.height_m, nodes.there
@@ -108,7 +108,7 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     )
     normal, up, share, known, complete = _smooth_ground(
         across, first_row, surface.stride, row0, height, shown, reach,
-        world.up_from(frame), None if sky is None else sky.finder.cells, *_finder_of(sky, frame, map_pixel_m(world, view)),
+        world.up_origin(frame), None if sky is None else sky.finder.cells, *_sky_arguments(sky, frame, map_pixel_m(world, view)),
     )  # fmt: skip
     if not complete:
         return None
@@ -116,7 +116,7 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     return BareGround(view, frame, there, window, height[reach:-reach, reach:-reach].copy(), normal, up, share)
 
 
-def _finder_of(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tuple[Any, ...]:
+def _sky_arguments(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tuple[Any, ...]:
     """Return the arguments of ``_smooth_ground`` that a ``SkyView`` determines, without its lattice.
 
     Where the lattice is ``None``, numba compiles the loop without the code that uses it.
@@ -144,7 +144,7 @@ def _smooth_ground(
     side = 2 * reach + 1
     rows, cols = height.shape[0] - 2 * reach, height.shape[1] - 2 * reach
     points = np.empty((side, 3, height.shape[1]))  # ring buffer of the rows round the current one
-    whole = np.empty(side, np.bool_)  # whether each of these rows has all its points
+    row_is_complete = np.empty(side, np.bool_)  # whether each of these rows has all its points
     normal, share = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols), np.float32)
     up = np.empty((rows, cols, 3), np.float32)
     there = np.empty((rows, cols), np.bool_)
@@ -153,36 +153,36 @@ def _smooth_ground(
     for i in range(-reach, rows + reach):
         turn = (i + reach) % side
         _points_of_row(across, first_row, stride, row0 + reach + i, height[i + reach], points[turn])
-        whole[turn] = _all_known(points[turn, 2], height[i + reach])
+        row_is_complete[turn] = _is_complete_row(points[turn, 2], height[i + reach])
         at = i - reach
         if at < 0:
             continue
         here, above, below = points[(at + reach) % side], points[at % side], points[(at + 2 * reach) % side]
-        known = True
+        is_interior = True
         for k in range(side):
-            known = known and whole[k]
-        if known:
+            is_interior = is_interior and row_is_complete[k]
+        if is_interior:
             for j in range(cols):
                 there[at, j] = shown[at + reach, reach + j]
-            row_complete = _normals_inside(above, here, below, reach, there[at], own_normal)
+            row_complete = _write_interior_normals(above, here, below, reach, there[at], own_normal)
         else:
-            _known_in_row(height, shown, at + reach, reach, there[at])
-            row_complete = _normals_of_row(above, here, below, reach, there[at], own_normal)
+            _write_valid(height, shown, at + reach, reach, there[at])
+            row_complete = _write_rim_normals(above, here, below, reach, there[at], own_normal)
         complete = complete and row_complete
         _put_normals(own_normal, there[at], normal[at])
         x, y, z = here[0, reach : reach + cols], here[1, reach : reach + cols], here[2, reach : reach + cols]
-        _open_sky_of_row(x, y, z, own_normal, (centre[0], centre[1], centre[2]), share[at])
+        _write_open_sky(x, y, z, own_normal, (centre[0], centre[1], centre[2]), share[at])
         _up_of_row(x, y, z, (centre[0], centre[1], centre[2]), up[at])
         if lattice is not None:
             own_height = height[at + reach, reach : reach + cols]
-            _places_of_row(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, place)
-            _cells_of_row(place, first, step, lattice, cells_a_node)
-            _hide_row(place[0], place[1], values, level, share[at])
+            _write_plane_positions(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, place)
+            _convert_to_cells(place, first, step, lattice, cells_a_node)
+            _subtract_hidden_sky(place[0], place[1], values, level, share[at])
     return normal, up, share, there, complete
 
 
 @internal
-def _all_known(z, height):
+def _is_complete_row(z, height):
     """Return whether a row has all its points."""
     missing = 0
     for j in range(z.size):
@@ -195,7 +195,7 @@ def _all_known(z, height):
 
 
 @internal
-def _open_sky_of_row(px, py, pz, normal, centre, share):
+def _write_open_sky(px, py, pz, normal, centre, share):
     """Write the share of the sky above the plane of each point's slope."""
     nx, ny, nz = normal[0], normal[1], normal[2]
     for j in range(share.size):
@@ -213,7 +213,7 @@ def _up_of_row(px, py, pz, centre, out):
 
 
 @internal
-def _places_of_row(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, place):
+def _write_plane_positions(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, place):
     """Write the positions of points in the plane of a ``CellFinder``."""
     m00, m10, m20 = frame_from_earth[0, 0], frame_from_earth[1, 0], frame_from_earth[2, 0]
     m01, m11, m21 = frame_from_earth[0, 1], frame_from_earth[1, 1], frame_from_earth[2, 1]
@@ -229,17 +229,17 @@ def _places_of_row(px, py, pz, height, frame_from_earth, origin, plane, axes, fi
             x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
             y = m01 * px[j] + m11 * py[j] + m21 * pz[j] + oy
             z = m02 * px[j] + m12 * py[j] + m22 * pz[j] + oz
-            out_x[j], out_y[j] = in_plane(x, y, z, height[j], STEREOGRAPHIC, own, begin, by)
+            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], STEREOGRAPHIC, own, begin, by)
     else:
         for j in range(height.size):
             x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
             y = m01 * px[j] + m11 * py[j] + m21 * pz[j] + oy
             z = m02 * px[j] + m12 * py[j] + m22 * pz[j] + oz
-            out_x[j], out_y[j] = in_plane(x, y, z, height[j], plane, own, begin, by)
+            out_x[j], out_y[j] = project_to_plane(x, y, z, height[j], plane, own, begin, by)
 
 
 @internal
-def _cells_of_row(place, first, step, lattice, cells_a_node):
+def _convert_to_cells(place, first, step, lattice, cells_a_node):
     """Convert positions in a finder's plane to rows and columns of the grid of hidden sky, in place.
 
     Consecutive positions in one square of the lattice are converted together.
@@ -248,13 +248,13 @@ def _cells_of_row(place, first, step, lattice, cells_a_node):
     rows, cols = lattice.shape[0], lattice.shape[1]
     square_j, square_i = np.empty(x.size, np.int32), np.empty(x.size, np.int32)
     for j in range(x.size):
-        x[j], y[j], square_j[j], square_i[j] = square_of_lattice(x[j], y[j], begin, by, rows, cols)
+        x[j], y[j], square_j[j], square_i[j] = lattice_square(x[j], y[j], begin, by, rows, cols)
     start = 0
     while start < x.size:
         end, at_j, at_i = start + 1, square_j[start], square_i[start]
         while end < x.size and square_j[end] == at_j and square_i[end] == at_i:
             end += 1
-        _cells_of_run(x[start:end], y[start:end], corners_of_square(lattice, at_i, at_j), at_j, at_i, cells_a_node)
+        _cells_of_run(x[start:end], y[start:end], square_corners(lattice, at_i, at_j), at_j, at_i, cells_a_node)
         start = end
 
 
@@ -266,7 +266,7 @@ def _cells_of_run(across, down, corners, at_j, at_i, cells_a_node):
 
 
 @internal
-def _hide_row(row, col, values, level, share):
+def _subtract_hidden_sky(row, col, values, level, share):
     """Reduce a row's sky shares by the share that ground hides."""
     hidden = np.empty(share.size)
     hidden_on_row(values, level, row, col, hidden)
@@ -289,7 +289,7 @@ def _points_of_row(across, first_row, stride, row, height, out):
 
 
 @internal
-def _known_in_row(height, shown, row, reach, there):
+def _write_valid(height, shown, row, reach, there):
     """Write which nodes of a row show ground: those that are a corner of a triangle.
 
     A quad with one missing corner still has one triangle.
@@ -308,7 +308,7 @@ def _known_in_row(height, shown, row, reach, there):
 
 
 @internal
-def _normals_inside(above, here, below, reach, there, out):
+def _write_interior_normals(above, here, below, reach, there, out):
     """Write smooth unit normals (3, cols) of a row without missing neighbours.
 
     Returns whether all ground in the row has a normal.
@@ -359,7 +359,7 @@ def _put_normals(normal, there, out):
 
 
 @internal
-def _normals_of_row(above, here, below, reach, there, out):
+def _write_rim_normals(above, here, below, reach, there, out):
     """Write smooth unit normals (3, cols) of a row where it is valid, one-sided at the ground's rim.
 
     Returns whether all ground in the row has a normal.

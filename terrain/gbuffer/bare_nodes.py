@@ -75,7 +75,7 @@ def _bare_nodes(world: World, elevation: Elevation, view: MapView, per_pixel: in
         for first, count in ((row0, view.rows), (col0, view.cols))
     )
     row, col = (axis.ravel() for axis in np.meshgrid(row, col, indexing="ij"))
-    known = heights.coarser.height_m if isinstance(heights, RefinedWindow) else heights.height_m
-    ends = np.nanmin(known), np.nanmax(known)
+    source_height = heights.coarser.height_m if isinstance(heights, RefinedWindow) else heights.height_m
+    ends = np.nanmin(source_height), np.nanmax(source_height)
     position = np.stack([surface.positions(row, col, np.full(row.size, end, np.float32), frame) for end in ends])
     return BareNodes(view, per_pixel, frame, heights, position, np.isfinite(position[..., 2]))

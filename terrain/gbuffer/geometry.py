@@ -19,14 +19,14 @@ from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame
-from skugga.terrain.ground.columns import PlacedOnColumns
+from skugga.terrain.ground.columns import ColumnIndices
 from skugga.terrain.ground.surface import Surface, SurfaceWindow
 
-SMOOTH_NODES = 16
+MAX_STENCIL_RADIUS = 16
 """Maximum half width of the shading normal's central difference, in nodes. Beyond 16-fold magnification facets show."""
 
 
-class Shown(NamedTuple):
+class ShadingInputs(NamedTuple):
     """The arrays of a ``GeometryBuffer`` that shading loops read."""
 
     there: np.ndarray
@@ -54,7 +54,7 @@ class GeometryBuffer:
         float32, the point's height, metres.
     normal_frame
         float32, the triangle's geometric unit normal. Where several triangles of a map's ground share the point, it is their mean.
-        Shadows use the single normals (``skugga.terrain.gbuffer.shared_points``).
+        Shadows use the single normals (``skugga.terrain.gbuffer.light_facing``).
     shading_normal_frame
         float32, a smooth unit normal, for shading.
     crease
@@ -102,7 +102,7 @@ class GeometryBuffer:
     triangle: np.ndarray | None = None
     surface: SurfaceWindow | None = None
     ground: GroundMesh | None = None
-    columns: PlacedOnColumns | None = None
+    columns: ColumnIndices | None = None
     corners_frame_m: np.ndarray | None = None
     albedo: np.ndarray | None = None
     tree_instances: TreeInstances | None = None
@@ -113,9 +113,9 @@ class GeometryBuffer:
     lifted: np.ndarray | None = None
 
     @property
-    def shown(self) -> Shown:
+    def shading_inputs(self) -> ShadingInputs:
         """The arrays that shading loops read."""
-        return Shown(self.there, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
+        return ShadingInputs(self.there, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,13 +136,13 @@ class MapNodes:
 
 def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> MapNodes:
     """Return the nodes that the pixels of views of one grid are interpolated from, in a frame."""
-    reach = normal_reach(surface)
-    row0, col0, row1, col1 = _nodes_of(views, reach)
+    reach = normal_stencil_radius(surface)
+    row0, col0, row1, col1 = _node_bounds(views, reach)
     window = surface.window(row0, col0, row1 - row0, col1 - col0, frame)
     return MapNodes(window, _smooth_normals(window.position_frame_m, reach))
 
 
-def _nodes_of(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]:
+def _node_bounds(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]:
     """Return first row, first column, end row and end column of the nodes that the pixels of views need. Ends are exclusive."""
     halo = reach + (reach + 1) // 2 + 1
     firsts = [(view.row0, view.col0) for view in views]
@@ -153,18 +153,18 @@ def _nodes_of(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]
 
 
 def map_geometry(
-    surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None, nodes: MapNodes | None = None
+    surface: Surface, view: MapView, frame: LocalFrame, pixel_mask: np.ndarray | None = None, nodes: MapNodes | None = None
 ) -> GeometryBuffer:
     """Return the geometry buffer of the bare ground of a map view (a block).
 
-    ``wanted`` (rows, cols) selects pixels; the others show nothing. ``nodes`` (``map_nodes``) saves computing the nodes again: each
+    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. ``nodes`` (``map_nodes``) saves computing the nodes again: each
     is the same in every window. Raises ``ValueError`` where ``nodes`` do not cover the view.
     """
-    wanted = np.ones((view.rows, view.cols), np.bool_) if wanted is None else wanted
-    reach = normal_reach(surface)
+    pixel_mask = np.ones((view.rows, view.cols), np.bool_) if pixel_mask is None else pixel_mask
+    reach = normal_stencil_radius(surface)
     nodes = nodes or map_nodes(surface, [view], frame)
     window, smooth, sheet = nodes.window, nodes.smooth, nodes.window.sheet
-    row0, col0, row1, col1 = _nodes_of([view], reach)
+    row0, col0, row1, col1 = _node_bounds([view], reach)
     ends = window.row0, window.col0, window.row0 + window.shape[0], window.col0 + window.shape[1]
     if row0 < ends[0] or col0 < ends[1] or row1 > ends[2] or col1 > ends[3]:
         raise ValueError(f"nodes: they span {ends}, but the view needs {(row0, col0, row1, col1)}. Use map_nodes of this view.")
@@ -172,7 +172,7 @@ def map_geometry(
     col = view.col0 + np.arange(view.cols) * view.col_step - window.col0
     on_nodes = view.on_nodes and reach == 1
     there, position, height, normal, shading, crease, triangle = map_points(
-        window.position_frame_m, window.height_m, window.there, sheet.falls, sheet.normals_frame, smooth, row, col, wanted
+        window.position_frame_m, window.height_m, window.there, sheet.falls, sheet.normals_frame, smooth, row, col, pixel_mask
     )
     kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     # A pixel on a node has no triangle of its own, unless the grid is finer than the raster.
@@ -185,9 +185,9 @@ def map_geometry(
     return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window, lift_m=lift)
 
 
-def normal_reach(surface: Surface) -> int:
+def normal_stencil_radius(surface: Surface) -> int:
     """Return the half width in nodes of the shading normal's differences: one cell of the raster, clamped."""
-    return int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, SMOOTH_NODES))
+    return int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, MAX_STENCIL_RADIUS))
 
 
 @compiled

@@ -2,7 +2,7 @@
 
 * The nodes are the raster's own cells if these are square and the view can use the raster's CRS. Else they are those of the
   level's map grid.
-* A ground of up to ``WHOLE_TRIANGLES`` triangles is drawn in full. A larger one is decimated with the distance from the eye, never
+* A ground of up to ``MAX_UNDECIMATED_TRIANGLES`` triangles is drawn in full. A larger one is decimated with the distance from the eye, never
   with the direction of view, so that turning the camera changes no triangle.
 * The drawn triangles cast shadows, in front of the eye and behind it.
 """
@@ -15,21 +15,21 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.geo.camera import FRAME_SHARE, PerspectiveView
 from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from skugga.terrain.geo.world import LocalFrame, World, transformer
-from skugga.terrain.ground.decimation import NodeErrors, decimate, errors_m
+from skugga.terrain.ground.decimation import NodeErrors, decimate, node_errors
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.sheet import sheet_of
 from skugga.terrain.ground.surface import Surface
-from skugga.terrain.meshes.facets import FacesRound, creases, face_normals, faces_round, smooth_normals
+from skugga.terrain.meshes.facets import NodeFaces, creases, face_normals, node_faces, smooth_normals
 from skugga.terrain.scene import Scene
 
 MAX_GROUND_TRIANGLES = 2_000_000
 """Maximum number of triangles of a perspective view's ground."""
 
-WHOLE_TRIANGLES = 250_000
+MAX_UNDECIMATED_TRIANGLES = 250_000
 """Maximum number of triangles of a ground that is not decimated."""
 
 MAX_SIDE_NODES = 4096
@@ -55,7 +55,7 @@ class GroundMesh:
         int32 (m, 3), node indices, counter-clockwise from above.
     face_normal_frame
         float32 (m, 3), the triangles' unit normals.
-    faces_round
+    node_faces
         The triangles round each node (``skugga.terrain.meshes.facets``).
     x, y
         float64 (n,), map coordinates in the grid's CRS.
@@ -70,7 +70,7 @@ class GroundMesh:
     normal_frame: np.ndarray
     triangles: np.ndarray
     face_normal_frame: np.ndarray
-    faces_round: FacesRound
+    node_faces: NodeFaces
     x: np.ndarray
     y: np.ndarray
     grid: Grid
@@ -111,14 +111,14 @@ def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_GR
     return _ground_mesh(world, elevation, crs, tuple(view.eye_earth_m), view.focal_px, max_triangles)
 
 
-def ground_creases(ground: GroundMesh, seen: np.ndarray) -> np.ndarray:
+def ground_creases(ground: GroundMesh, triangle_number: np.ndarray) -> np.ndarray:
     """Return the creases (m,) of the ground's triangles that are seen, and 0 for all others: most of the ground is out of sight.
 
-    ``seen`` (rows, cols) holds triangle numbers from 1.
+    ``triangle_number`` (rows, cols) holds triangle numbers from 1.
     """
-    wanted = np.zeros(len(ground.triangles), np.bool_)
-    in_shares(len(seen), _mark, seen, wanted)
-    return creases(ground.position_frame_m, ground.face_normal_frame, ground.triangles, ground.faces_round, 2.0, wanted)
+    is_visible = np.zeros(len(ground.triangles), np.bool_)
+    run_in_chunks(len(triangle_number), _mark, triangle_number, is_visible)
+    return creases(ground.position_frame_m, ground.face_normal_frame, ground.triangles, ground.node_faces, 2.0, is_visible)
 
 
 @compiled
@@ -148,16 +148,16 @@ def _ground_mesh(
         float((x - grid.x0) / grid.step) - nodes.col0,
         float(height),
     )
-    found = decimate(nodes.errors, eye_row_col_m, TOLERANCE_PX / focal_px, max_triangles)
+    decimated = decimate(nodes.errors, eye_row_col_m, TOLERANCE_PX / focal_px, max_triangles)
     frame = world.frame_near_earth(np.array(eye_earth_m), FRAME_SHARE)
-    row, col = found.nodes[:, 0], found.nodes[:, 1]
-    return _mesh(world, elevation, nodes, frame, row, col, found.triangles, found.tolerance * focal_px)
+    row, col = decimated.nodes[:, 0], decimated.nodes[:, 1]
+    return _mesh(world, elevation, nodes, frame, row, col, decimated.triangles, decimated.tolerance * focal_px)
 
 
 @cached("scene", 256 * MIB)
 def _whole_mesh(world: World, elevation: Elevation, crs: CRS, frame: LocalFrame, max_triangles: int) -> GroundMesh:
     nodes = _nodes(world, elevation, crs, max_triangles)
-    return _mesh(world, elevation, nodes, frame, *_whole(nodes.height_m), 0.0)
+    return _mesh(world, elevation, nodes, frame, *_full_triangulation(nodes.height_m), 0.0)
 
 
 def _mesh(
@@ -173,7 +173,7 @@ def _mesh(
     """Return the mesh of triangles of selected nodes of the ground, in a frame."""
     grid, height = nodes.grid, nodes.height_m[row, col]
     position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
-    faces, around = face_normals(position, triangles), faces_round(len(position), triangles)
+    faces, around = face_normals(position, triangles), node_faces(len(position), triangles)
     return GroundMesh(
         position, height, smooth_normals(faces, around), triangles, faces, around,
         np.asarray(grid.x(col + nodes.col0)), np.asarray(grid.y(row + nodes.row0)), grid, tolerance,
@@ -186,13 +186,15 @@ def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> 
     surface = Surface(world, elevation, grid)
     height, there = surface.heights(row0, col0, rows, cols)
     height = np.where(there, height, np.float32(np.nan))
-    is_complete = 2 * (rows - 1) * (cols - 1) <= (WHOLE_TRIANGLES if max_triangles == MAX_GROUND_TRIANGLES else max_triangles)
-    return GroundNodes(grid, row0, col0, height, None if is_complete else errors_m(height, surface.step_m, not world.flat))
+    is_complete = 2 * (rows - 1) * (cols - 1) <= (
+        MAX_UNDECIMATED_TRIANGLES if max_triangles == MAX_GROUND_TRIANGLES else max_triangles
+    )
+    return GroundNodes(grid, row0, col0, height, None if is_complete else node_errors(height, surface.step_m, not world.flat))
 
 
 def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:
     """Return the grid, then first row, first column, rows and columns of its nodes on the raster."""
-    cell = elevation.square_cell
+    cell = elevation.square_cell_size
     if elevation.crs == crs and cell is not None and elevation.resolution_m is None:
         left, top = (float(v) for v in elevation.xy(0, 0))
         grid = Grid(crs, left, top, cell)
@@ -211,7 +213,7 @@ def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, in
     return grid.coarser(level), row0, col0, max(row1 - row0 + 1, 1), max(col1 - col0 + 1, 1)
 
 
-def _whole(height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _full_triangulation(height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return row and column of all nodes of a grid (rows, cols), and its triangles without missing corners."""
     rows, cols = height.shape
     row, col = (v.ravel() for v in np.mgrid[:rows, :cols])

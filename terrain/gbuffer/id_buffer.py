@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh
 from skugga.terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
 from skugga.terrain.geo.camera import PerspectiveView
@@ -38,7 +38,7 @@ class IdBuffer:
     ----------
     number
         uint32 (rows, cols), the triangle's number, from 1; 0 in empty pixels.
-    albedo_root
+    sqrt_albedo
         uint8 (rows, cols, 4), the square root of linear albedo where a tree is seen. Empty without trees.
     depth
         float32 (rows, cols), in perspective ``NEAR_M`` over the distance along the view's axis. Empty if only some pixels were
@@ -46,7 +46,7 @@ class IdBuffer:
     """
 
     number: np.ndarray
-    albedo_root: np.ndarray
+    sqrt_albedo: np.ndarray
     depth: np.ndarray
 
 
@@ -69,11 +69,11 @@ def rasterise_perspective(
     ground: GroundMesh,
     solids: tuple[np.ndarray, np.ndarray] | None,
     instances: TreeInstances | None,
-    wanted: np.ndarray | None = None,
+    pixel_mask: np.ndarray | None = None,
 ) -> IdBuffer:
     """Rasterise the ground, meshes (vertices in the frame, triangles) and trees for a camera.
 
-    ``wanted`` (rows, cols) selects pixels; the others stay empty.
+    ``pixel_mask`` (rows, cols) selects pixels; the others stay empty.
     """
     gl = device()
     eye, camera_from_frame = view.in_frame(frame)
@@ -86,22 +86,30 @@ def rasterise_perspective(
         "near_m": NEAR_M,
     }
     target = gl.visible_target(view.cols, view.rows)
-    ends = np.array([[first[k] - view.step, first[k] + size[k] * view.step] for k in (0, 1)]) / view.focal_px
-    ahead = _in_view(ground.position_frame_m, ground.triangles, eye, camera_from_frame, ends)
+    tangent_bounds = np.array([[first[k] - view.step, first[k] + size[k] * view.step] for k in (0, 1)]) / view.focal_px
+    visible_ground = _triangles_in_frustum(ground.position_frame_m, ground.triangles, eye, camera_from_frame, tangent_bounds)
     with gl.visible_pass(target):
-        if wanted is not None:  # depth 1 is the near plane: the depth test rejects all other pixels early
-            gl.write_depths(target, np.subtract(np.float32(1.0), wanted, dtype=np.float32))
+        if pixel_mask is not None:  # depth 1 is the near plane: the depth test rejects all other pixels early
+            gl.write_depths(target, np.subtract(np.float32(1.0), pixel_mask, dtype=np.float32))
         program = _program(gl, "visible.vert", "visible.frag", uniforms)
-        gl.draw_triangles(program, ground.position_frame_m, ground.triangles[ahead], 0)
-        drawn = len(ground.triangles)
+        gl.draw_triangles(program, ground.position_frame_m, ground.triangles[visible_ground], 0)
+        triangle_count = len(ground.triangles)
         if solids is not None:
-            drawn += gl.draw_triangles(program, *solids, drawn)
+            triangle_count += gl.draw_triangles(program, *solids, triangle_count)
         if instances is not None:
-            in_sight = instances.in_cone(eye, camera_from_frame, ends)
-            in_sight = instances.nearest_first(in_sight, camera_from_frame[2])
-            more = {"in_map": False, "level_bias": float(np.log2(view.pixel_share))}
-            _draw_trees(gl, instances, in_sight, instances.base_frame_m, {**uniforms, **more}, drawn)
-    return _read(gl, target, instances, drawn, None if instances is None else in_sight, ahead, with_depth=wanted is None)
+            visible_trees = instances.in_frustum(eye, camera_from_frame, tangent_bounds)
+            visible_trees = instances.front_to_back(visible_trees, camera_from_frame[2])
+            tree_uniforms = {"in_map": False, "level_bias": float(np.log2(view.pixel_share))}
+            _draw_trees(gl, instances, visible_trees, instances.base_frame_m, {**uniforms, **tree_uniforms}, triangle_count)
+    return _read(
+        gl,
+        target,
+        instances,
+        triangle_count,
+        None if instances is None else visible_trees,
+        visible_ground,
+        with_depth=pixel_mask is None,
+    )
 
 
 def rasterise_map(
@@ -121,20 +129,20 @@ def rasterise_map(
     scale = np.array([1.0, 1.0, 1.0 / (high - low)])
     shift = np.array([0.0, 0.0, low])
     target = gl.visible_target(view.cols, view.rows)
-    drawn, chosen = 0, None
+    triangle_count, chosen = 0, None
     with gl.visible_pass(target):
         uniforms = {"size_px": (float(view.cols), float(view.rows))}
         if solids_px is not None:
             program = _program(gl, "visible_map.vert", "visible.frag", uniforms)
-            drawn += gl.draw_triangles(program, (solids_px[0] - shift) * scale, solids_px[1], 0)
+            triangle_count += gl.draw_triangles(program, (solids_px[0] - shift) * scale, solids_px[1], 0)
         if instances is not None and bases_px is not None:
             reach = np.linalg.norm(px_from_m, 2) * instances.shape[:, :2].max(axis=1) * 1.5
             inside = [(bases_px[:, k] > -reach) & (bases_px[:, k] < size + reach) for k, size in enumerate((view.cols, view.rows))]
             chosen = np.flatnonzero(inside[0] & inside[1])
-            more = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
-            more |= {"level_bias": float(np.log2(view.pixel_share))}
-            _draw_trees(gl, instances, chosen, (bases_px - shift) * scale, {**uniforms, **more}, drawn)
-    return _read(gl, target, instances, drawn, chosen, np.zeros(0, np.int64), with_depth=False)
+            tree_uniforms = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
+            tree_uniforms |= {"level_bias": float(np.log2(view.pixel_share))}
+            _draw_trees(gl, instances, chosen, (bases_px - shift) * scale, {**uniforms, **tree_uniforms}, triangle_count)
+    return _read(gl, target, instances, triangle_count, chosen, np.zeros(0, np.int64), with_depth=False)
 
 
 def _draw_trees(
@@ -145,8 +153,8 @@ def _draw_trees(
     )
     texture = gl.layers(foliage().levels)
     texture.use(0)
-    more = {"foliage": 0, "threshold": THRESHOLD, "curvature": instances.curvature, "first": first}
-    set_uniforms(program, {**uniforms, **more})
+    tree_uniforms = {"foliage": 0, "threshold": THRESHOLD, "curvature": instances.curvature, "first": first}
+    set_uniforms(program, {**uniforms, **tree_uniforms})
     variant = np.concatenate([instances.turn, instances.variant[:, None]], axis=1)
     attributes = [("base", base[chosen]), ("shape", instances.shape[chosen]), ("look", variant[chosen])]
     gl.draw_instances(program, QUAD_TRIANGLES, attributes)
@@ -169,14 +177,16 @@ def _read(
     gl: Device,
     target: moderngl.Framebuffer,
     instances: TreeInstances | None,
-    drawn: int,
+    triangle_count: int,
     chosen: np.ndarray | None,
-    ahead: np.ndarray,
+    visible_ground: np.ndarray,
     with_depth: bool,
 ) -> IdBuffer:
     number = gl.read(target, 0, "u4")
     depth = gl.read(target, -1) if with_depth else np.zeros((0, 0), np.float32)
-    in_shares(len(number), _renumber, number, ahead, drawn, np.zeros(0, np.int64) if chosen is None else chosen)
+    run_in_chunks(
+        len(number), _renumber, number, visible_ground, triangle_count, np.zeros(0, np.int64) if chosen is None else chosen
+    )
     if chosen is None or not len(chosen):
         none = np.zeros((*number.shape, 4), np.uint8) if instances is not None else np.zeros((0, 0, 4), np.uint8)
         return IdBuffer(number, none, depth)
@@ -184,23 +194,23 @@ def _read(
 
 
 @compiled
-def _renumber(first, last, number, ahead, drawn, chosen):
+def _renumber(first, last, number, visible_ground, triangle_count, visible_trees):
     """Replace numbers among the drawn triangles by numbers among all triangles.
 
-    ``ahead`` holds the indices of the drawn triangles of the ground, ``chosen`` those of the drawn trees.
+    ``visible_ground`` holds the indices of the drawn triangles of the ground, ``visible_trees`` those of the drawn trees.
     """
     for i in range(first, last):
         for j in range(number.shape[1]):
-            own = np.int64(number[i, j]) - 1
-            inside = own - drawn
-            if inside >= 0:
-                number[i, j] = np.uint32(chosen[inside // 6] * 6 + inside % 6 + drawn + 1)
-            elif 0 <= own < len(ahead):
-                number[i, j] = np.uint32(ahead[own] + 1)
+            drawn_index = np.int64(number[i, j]) - 1
+            tree_index = drawn_index - triangle_count
+            if tree_index >= 0:
+                number[i, j] = np.uint32(visible_trees[tree_index // 6] * 6 + tree_index % 6 + triangle_count + 1)
+            elif 0 <= drawn_index < len(visible_ground):
+                number[i, j] = np.uint32(visible_ground[drawn_index] + 1)
 
 
 @compiled
-def _in_view(position, triangles, eye, rotation, tangents):
+def _triangles_in_frustum(position, triangles, eye, rotation, tangents):
     """Return the indices of the triangles that may intersect a viewing pyramid.
 
     A triangle is left out if all of its corners lie outside one plane of the pyramid. The apex is ``eye``, the axis the third row

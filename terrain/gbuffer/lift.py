@@ -21,7 +21,7 @@ LEAST_FACING = 0.25
 """Minimum divisor of a lift: the cosine between a smooth normal and the line of sight vanishes on surfaces that are seen edge-on.
 """
 
-CREASE = float(np.cos(np.radians(30.0)))
+MIN_CREASE_COSINE = float(np.cos(np.radians(30.0)))
 """Minimum cosine between a triangle's normal and the smooth normals at its corners. Below it a crease lies between: the ground
 bends by twice the angle there.
 """
@@ -31,7 +31,7 @@ bends by twice the angle there.
 def is_smooth(face, smooth):
     """Return whether a smooth normal exists and is so near to a triangle's normal that no crease lies between them."""
     length = np.sqrt(smooth[0] * smooth[0] + smooth[1] * smooth[1] + smooth[2] * smooth[2])
-    return face[0] * smooth[0] + face[1] * smooth[1] + face[2] * smooth[2] >= CREASE * length
+    return face[0] * smooth[0] + face[1] * smooth[1] + face[2] * smooth[2] >= MIN_CREASE_COSINE * length
 
 
 @internal
@@ -43,11 +43,11 @@ def up_at(point, centre, out):
 
 
 @internal
-def lift_to(node, smooth, point, way):
+def lift_distance(node, smooth, point, direction):
     """Return the distance from a point, along a unit vector, to the plane through a node perpendicular to its smooth normal.
 
     It is 0 where the point lies above the plane, or where the normal is missing.
     """
     below = smooth[0] * (node[0] - point[0]) + smooth[1] * (node[1] - point[1]) + smooth[2] * (node[2] - point[2])
-    facing = smooth[0] * way[0] + smooth[1] * way[1] + smooth[2] * way[2]
+    facing = smooth[0] * direction[0] + smooth[1] * direction[1] + smooth[2] * direction[2]
     return below / max(facing, LEAST_FACING) if below > 0.0 else 0.0

@@ -12,18 +12,18 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import NO_SURFACE, RELIEF
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame
-from skugga.terrain.ground.columns import columns_under
+from skugga.terrain.ground.columns import find_columns
 from skugga.terrain.ground.surface import Surface
 
 
-def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None) -> GeometryBuffer:
+def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, pixel_mask: np.ndarray | None = None) -> GeometryBuffer:
     """Return the geometry buffer of the columns in a map view (a block).
 
-    ``wanted`` (rows, cols) selects pixels; the others show nothing. Raises ``UnsupportedError``.
+    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. Raises ``UnsupportedError``.
     """
     row, col = view.row0 + np.arange(view.rows) * view.row_step, view.col0 + np.arange(view.cols) * view.col_step
-    columns, seen = columns_under(surface, row, col, frame)
-    there = seen.there if wanted is None else seen.there & wanted
+    columns, seen = find_columns(surface, row, col, frame)
+    there = seen.there if pixel_mask is None else seen.there & pixel_mask
     kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     return GeometryBuffer(
         view, frame, there, seen.position_frame_m, seen.height_m, seen.up_frame, seen.up_frame.copy(),
@@ -31,18 +31,18 @@ def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: 
     )  # fmt: skip
 
 
-def corners_under(buffer: GeometryBuffer) -> np.ndarray:
+def column_top_corners(buffer: GeometryBuffer) -> np.ndarray:
     """Return ``corners_frame_m`` of a ``GeometryBuffer``, completed with one of the two triangles of each visible column's top."""
     columns, corners = buffer.columns, buffer.corners_frame_m
     assert columns is not None
     corners = np.zeros((*buffer.there.shape, 9), np.float32) if corners is None else corners.copy()
     ground = buffer.there & (buffer.kind == RELIEF)
-    _put_in(columns.window.sheet.position_frame_m, ground, columns.row, columns.col, corners)
+    _write_corners(columns.window.sheet.position_frame_m, ground, columns.row, columns.col, corners)
     return corners
 
 
 @compiled
-def _put_in(nodes, ground, row, col, corners):
+def _write_corners(nodes, ground, row, col, corners):
     for i in range(row.shape[0]):
         for j in range(row.shape[1]):
             if ground[i, j]:

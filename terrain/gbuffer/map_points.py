@@ -8,14 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.terrain.compiled import compiled, internal
-from skugga.terrain.gbuffer.lift import is_smooth, lift_to, up_at
+from skugga.terrain.gbuffer.lift import is_smooth, lift_distance, up_at
 
-ON_EDGE = 1e-6
+EDGE_TOLERANCE = 1e-6
 """Tolerance, in cells, within which a point lies on a facet's edge. Facets on both sides share it, whatever the rounding."""
 
 
 @compiled
-def map_points(position, height, shown, falls, faces, smooth, row, col, wanted):
+def map_points(position, height, shown, falls, faces, smooth, row, col, pixel_mask):
     """Return the points at fractional rows and columns of a sheet of nodes, with the other arrays of a geometry buffer.
 
     A wanted pixel shows a surface if the nearest node does and the pixel lies on a triangle. Half-way between nodes, one of the
@@ -23,34 +23,34 @@ def map_points(position, height, shown, falls, faces, smooth, row, col, wanted):
     """
     rows, cols = row.size, col.size
     there = np.empty((rows, cols), np.bool_)
-    point, level = np.empty((rows, cols, 3)), np.empty((rows, cols), np.float32)
+    point, point_height = np.empty((rows, cols, 3)), np.empty((rows, cols), np.float32)
     normal, shading = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols, 3), np.float32)
     crease, triangle = np.empty((rows, cols), np.float32), np.empty((rows, cols, 3), np.int32)
-    found = np.empty((8, 3), np.int64)
+    facets = np.empty((8, 3), np.int64)
     for i in range(rows):
         for j in range(cols):
-            there[i, j], level[i, j], crease[i, j] = False, np.nan, 0.0
+            there[i, j], point_height[i, j], crease[i, j] = False, np.nan, 0.0
             for k in range(3):
                 point[i, j, k], normal[i, j, k], shading[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
-            if not (wanted[i, j] and _nearest_shown(shown, row[i], col[j])):
+            if not (pixel_mask[i, j] and _is_nearest_shown(shown, row[i], col[j])):
                 continue
-            count = facets_at(faces, falls, row[i], col[j], found)
+            count = facets_at(faces, falls, row[i], col[j], facets)
             if count == 0:
                 continue
             there[i, j] = True
-            r, c, half = found[0]
+            r, c, half = facets[0]
             triangle[i, j, 0], triangle[i, j, 1], triangle[i, j, 2] = r, c, half
             (o0, o1), (a0, a1), (b0, b1) = facet_corners(falls[r, c], half)
-            u, v = _shares(falls[r, c], half, row[i] - r, col[j] - c)
+            u, v = _barycentric(falls[r, c], half, row[i] - r, col[j] - c)
             for k in range(3):
                 o = position[r + o0, c + o1, k]
                 point[i, j, k] = o + u * (position[r + a0, c + a1, k] - o) + v * (position[r + b0, c + b1, k] - o)
             h = np.float64(height[r + o0, c + o1])
-            level[i, j] = h + u * (height[r + a0, c + a1] - h) + v * (height[r + b0, c + b1] - h)
-            _mean_normal(faces, found, count, normal[i, j])
+            point_height[i, j] = h + u * (height[r + a0, c + a1] - h) + v * (height[r + b0, c + b1] - h)
+            _mean_normal(faces, facets, count, normal[i, j])
             crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
-            _smooth_at(smooth, row[i], col[j], normal[i, j], shading[i, j])
-    return there, point, level, normal, shading, crease, triangle
+            _smooth_normal(smooth, row[i], col[j], normal[i, j], shading[i, j])
+    return there, point, point_height, normal, shading, crease, triangle
 
 
 @compiled
@@ -77,27 +77,27 @@ def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle,
                 for k in range(4):
                     a = row[i] + (0.5 * reach if k // 2 else -0.5 * reach)
                     b = col[j] + (0.5 * reach if k % 2 else -0.5 * reach)
-                    _between(position, a, b, place)
-                    _between(smooth, a, b, across)
-                    lift += 0.5 * lift_to(place, across, point[i, j], up) if is_smooth(face, across) else np.nan
+                    _interpolate(position, a, b, place)
+                    _interpolate(smooth, a, b, across)
+                    lift += 0.5 * lift_distance(place, across, point[i, j], up) if is_smooth(face, across) else np.nan
                 out[i, j] = lift
-            elif abs(row[i] - np.rint(row[i])) <= ON_EDGE and abs(col[j] - np.rint(col[j])) <= ON_EDGE:
+            elif abs(row[i] - np.rint(row[i])) <= EDGE_TOLERANCE and abs(col[j] - np.rint(col[j])) <= EDGE_TOLERANCE:
                 out[i, j] = np.nan
             else:
-                u, v = _shares(falls[r, c], half, row[i] - r, col[j] - c)
+                u, v = _barycentric(falls[r, c], half, row[i] - r, col[j] - c)
                 weights = (1.0 - u - v, u, v)
                 corners = facet_corners(falls[r, c], half)
                 lift = 0.0
                 for k in range(3):
                     a, b = r + corners[k][0], c + corners[k][1]
-                    bulge = lift_to(position[a, b], smooth[a, b], point[i, j], up)
+                    bulge = lift_distance(position[a, b], smooth[a, b], point[i, j], up)
                     lift += weights[k] * bulge if is_smooth(face, smooth[a, b]) else np.nan
                 out[i, j] = lift
     return out
 
 
 @internal
-def _between(values, row, col, out):
+def _interpolate(values, row, col, out):
     """Interpolate vectors at nodes bilinearly at a fractional row and column."""
     r, c = int(np.floor(row)), int(np.floor(col))
     fr, fc = row - r, col - c
@@ -111,24 +111,26 @@ def _between(values, row, col, out):
 
 
 @internal
-def facets_at(faces, falls, row, col, found):
-    """Return the number of facets that a position on a sheet lies on, and write them to ``found`` (8, 3).
+def facets_at(faces, falls, row, col, facets):
+    """Return the number of facets that a position on a sheet lies on, and write them to ``facets`` (8, 3).
 
     A facet is the row and the column of its quad, and 0 or 1: ``faces`` (rows, cols, 2, 3) holds its normal, NaN if a corner is
     missing. Facets of the quad south-east of the position come first.
     """
-    r0, c0 = int(np.floor(row + ON_EDGE)), int(np.floor(col + ON_EDGE))
+    r0, c0 = int(np.floor(row + EDGE_TOLERANCE)), int(np.floor(col + EDGE_TOLERANCE))
     fr0, fc0 = row - r0, col - c0
     count = 0
     for k in range(4):
         up, left = k // 2, k % 2
-        if (up == 1 and fr0 > ON_EDGE) or (left == 1 and fc0 > ON_EDGE):
+        if (up == 1 and fr0 > EDGE_TOLERANCE) or (left == 1 and fc0 > EDGE_TOLERANCE):
             continue
         r, c, fr, fc = r0 - up, c0 - left, fr0 + up, fc0 + left
         for half in range(2):
-            beyond = fc - fr if falls[r, c] else 1.0 - fr - fc  # from the diagonal towards the north side
-            if (beyond >= -ON_EDGE if half == 0 else beyond <= ON_EDGE) and np.isfinite(faces[r, c, half, 2]):
-                found[count, 0], found[count, 1], found[count, 2] = r, c, half
+            side_distance = fc - fr if falls[r, c] else 1.0 - fr - fc  # from the diagonal towards the north side
+            if (side_distance >= -EDGE_TOLERANCE if half == 0 else side_distance <= EDGE_TOLERANCE) and np.isfinite(
+                faces[r, c, half, 2]
+            ):
+                facets[count, 0], facets[count, 1], facets[count, 2] = r, c, half
                 count += 1
     return count
 
@@ -161,11 +163,11 @@ def _crease_round(faces, falls, near_r, near_c, normal):
         ends_here = (down == right) == falls[r, c]
         if not ends_here and half != 1 - down:
             continue
-        apart = 0.0
+        squared_distance = 0.0
         for m in range(3):
-            apart += (faces[r, c, half, m] - normal[m]) ** 2
-        if apart > widest:  # False for a missing facet, whose normal is NaN
-            widest = apart
+            squared_distance += (faces[r, c, half, m] - normal[m]) ** 2
+        if squared_distance > widest:  # False for a missing facet, whose normal is NaN
+            widest = squared_distance
     return np.sqrt(widest)
 
 
@@ -173,13 +175,13 @@ def _crease_round(faces, falls, near_r, near_c, normal):
 def _nearest(row, col):
     """Return first and last row and column of the nearest nodes: two of each, where a position is half-way between nodes."""
     return (
-        int(np.ceil(row - 0.5 - ON_EDGE)), int(np.floor(row + 0.5 + ON_EDGE)),
-        int(np.ceil(col - 0.5 - ON_EDGE)), int(np.floor(col + 0.5 + ON_EDGE)),
+        int(np.ceil(row - 0.5 - EDGE_TOLERANCE)), int(np.floor(row + 0.5 + EDGE_TOLERANCE)),
+        int(np.ceil(col - 0.5 - EDGE_TOLERANCE)), int(np.floor(col + 0.5 + EDGE_TOLERANCE)),
     )  # fmt: skip
 
 
 @internal
-def _nearest_shown(shown, row, col):
+def _is_nearest_shown(shown, row, col):
     low_r, high_r, low_c, high_c = _nearest(row, col)
     return shown[low_r, low_c] or shown[low_r, high_c] or shown[high_r, low_c] or shown[high_r, high_c]
 
@@ -196,7 +198,7 @@ def facet_corners(falls, half):
 
 
 @internal
-def _shares(falls, half, fr, fc):
+def _barycentric(falls, half, fr, fc):
     """Return barycentric coordinates of a position in a quad: the weights of the second and third of ``facet_corners``."""
     if falls:
         return (1.0 - fc, fr) if half == 0 else (fc, 1.0 - fr)
@@ -204,24 +206,24 @@ def _shares(falls, half, fr, fc):
 
 
 @internal
-def _one_quad(found, n, m):
-    return found[n, 0] == found[m, 0] and found[n, 1] == found[m, 1]
+def _is_same_quad(facets, n, m):
+    return facets[n, 0] == facets[m, 0] and facets[n, 1] == facets[m, 1]
 
 
 @internal
-def _mean_normal(faces, found, count, out):
+def _mean_normal(faces, facets, count, out):
     """Write the mean unit normal of some facets.
 
     Both facets of a quad together count once, so that the cut of a plane quad does not matter.
     """
     if count == 1:
         for k in range(3):
-            out[k] = faces[found[0, 0], found[0, 1], found[0, 2], k]
+            out[k] = faces[facets[0, 0], facets[0, 1], facets[0, 2], k]
         return
     x, y, z = 0.0, 0.0, 0.0
     for n in range(count):
-        face = faces[found[n, 0], found[n, 1], found[n, 2]]
-        paired = (n > 0 and _one_quad(found, n, n - 1)) or (n + 1 < count and _one_quad(found, n, n + 1))
+        face = faces[facets[n, 0], facets[n, 1], facets[n, 2]]
+        paired = (n > 0 and _is_same_quad(facets, n, n - 1)) or (n + 1 < count and _is_same_quad(facets, n, n + 1))
         weight = 0.5 if paired else 1.0
         x, y, z = x + weight * face[0], y + weight * face[1], z + weight * face[2]
     length = np.sqrt(x * x + y * y + z * z)
@@ -229,7 +231,7 @@ def _mean_normal(faces, found, count, out):
 
 
 @internal
-def _smooth_at(smooth, row, col, normal, out):
+def _smooth_normal(smooth, row, col, normal, out):
     """Write the bilinear smooth normal of the nodes that have one; the facets' own normal if none has."""
     r0, c0 = int(np.floor(row)), int(np.floor(col))
     fr, fc = row - r0, col - c0

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.terrain.compiled import compiled, in_shares, internal
-from skugga.terrain.gbuffer.lift import is_smooth, lift_to
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
+from skugga.terrain.gbuffer.lift import is_smooth, lift_distance
 from skugga.terrain.gbuffer.tree_instances import tree_corner
 
 CROWN_MIDDLE, CROWN_HALF = 0.55, 0.47
@@ -56,7 +56,7 @@ class PixelCamera(NamedTuple):
         The same of a finer view of the camera.
     finer_row, finer_col
         int64 (n, cols), pixels of the finer view. They follow the picture's own rows.
-    own_rows
+    picture_rows
         The number of the picture's own rows.
     eye_frame_m
         float64 (3,), the eye in the frame.
@@ -68,7 +68,7 @@ class PixelCamera(NamedTuple):
     finer_tangents: np.ndarray
     finer_row: np.ndarray
     finer_col: np.ndarray
-    own_rows: int
+    picture_rows: int
     eye_frame_m: np.ndarray
     frame_from_camera: np.ndarray
 
@@ -168,11 +168,11 @@ def resolve_perspective(
     ground: Ground,
     solids: SolidsInPerspective,
     trees: TreesInPerspective,
-    albedo_root: np.ndarray,
+    sqrt_albedo: np.ndarray,
 ) -> ResolvedPoints:
     """Return the points that the numbered triangles (rows, cols) show.
 
-    ``albedo_root`` (rows, cols, 3) holds square roots of the albedo of visible leaves.
+    ``sqrt_albedo`` (rows, cols, 3) holds square roots of the albedo of visible leaves.
     """
     size = number.shape
     points = ResolvedPoints(
@@ -181,23 +181,23 @@ def resolve_perspective(
         np.empty(size, np.uint8), np.empty((*size, 3), np.float32), np.empty((*size, 9), np.float32),
         np.empty((*size, 2) if len(ground.cells) else (0, 0, 2), np.float32), np.empty(size, np.float32),
     )  # fmt: skip
-    in_shares(size[0], _resolve, number, camera, ground, solids, trees, albedo_root, points)
+    run_in_chunks(size[0], _resolve, number, camera, ground, solids, trees, sqrt_albedo, points)
     return points
 
 
 @compiled
-def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_root, points):
+def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albedo, points):
     """Fill rows ``first`` to ``last`` (exclusive) of ``points``."""
-    tangents, finer_tangents, finer_row, finer_col, own_rows, eye, frame_from_camera = camera
+    tangents, finer_tangents, finer_row, finer_col, picture_rows, eye, frame_from_camera = camera
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
     solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_height, tree_shape, tree_turn, curvature = trees
-    there, point, level, normal, shading, crease, kind, albedo, corners, cells, lift = points
+    there, point, surface_height, normal, shading, crease, kind, albedo, corners, cells, lift = points
     cols = number.shape[1]
     ground, solid = len(ground_triangles), len(solid_triangles)
     p, face = np.empty((3, 3)), np.empty(3, np.float32)
     ray, to_eye = np.empty(3), np.empty(3)
-    before, smooth = np.int64(-1), False  # the triangle of p, face and smooth: neighbouring pixels mostly show the same one
+    last_triangle, smooth = np.int64(-1), False  # the triangle of p, face and smooth: neighbouring pixels mostly show the same one
     for i in range(first, last):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1
@@ -208,21 +208,21 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                 for k in range(2):
                     cells[i, j, k] = np.nan
             if t < 0:
-                level[i, j] = np.nan
+                surface_height[i, j] = np.nan
                 for k in range(3):
                     point[i, j, k] = normal[i, j, k] = shading[i, j, k] = np.nan
                 for k in range(9):
                     corners[i, j, k] = 0.0
                 continue
-            if i < own_rows:
+            if i < picture_rows:
                 x, y = tangents[0] + j * tangents[2], tangents[1] + i * tangents[2]
             else:
-                x = finer_tangents[0] + finer_col[i - own_rows, j] * finer_tangents[2]
-                y = finer_tangents[1] + finer_row[i - own_rows, j] * finer_tangents[2]
+                x = finer_tangents[0] + finer_col[i - picture_rows, j] * finer_tangents[2]
+                y = finer_tangents[1] + finer_row[i - picture_rows, j] * finer_tangents[2]
             for k in range(3):
                 ray[k] = frame_from_camera[k, 0] * x + frame_from_camera[k, 1] * y + frame_from_camera[k, 2]
-            if t != before:
-                before = t
+            if t != last_triangle:
+                last_triangle = t
                 if t < ground:
                     for c in range(3):
                         for k in range(3):
@@ -234,14 +234,14 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                 else:
                     tree, part = (t - ground - solid) // 6, (t - ground - solid) % 6
                     _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_turn[tree], curvature, part)
-                _face(p, face)
+                _face_normal(p, face)
                 smooth = False
                 if t < ground:
                     a, b, c = ground_triangles[t, 0], ground_triangles[t, 1], ground_triangles[t, 2]
                     smooth = is_smooth(face, ground_normal[a]) and is_smooth(face, ground_normal[b])
                     smooth = smooth and is_smooth(face, ground_normal[c])
             kind[i, j] = RELIEF if t < ground else MESHES if t < ground + solid else FOREST
-            u, v = _on_plane(p, eye, ray)
+            u, v = _barycentric_on_ray(p, eye, ray)
             for k in range(3):
                 point[i, j, k] = p[0, k] + u * (p[1, k] - p[0, k]) + v * (p[2, k] - p[0, k])
                 normal[i, j, k] = face[k]
@@ -249,7 +249,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                     corners[i, j, 3 * c + k] = p[c, k]
             if t < ground:
                 a, b, c = ground_triangles[t, 0], ground_triangles[t, 1], ground_triangles[t, 2]
-                level[i, j] = (1.0 - u - v) * ground_height[a] + u * ground_height[b] + v * ground_height[c]
+                surface_height[i, j] = (1.0 - u - v) * ground_height[a] + u * ground_height[b] + v * ground_height[c]
                 for k in range(3):
                     shading[i, j, k] = (1.0 - u - v) * ground_normal[a, k] + u * ground_normal[b, k] + v * ground_normal[c, k]
                 crease[i, j] = ground_crease[t]
@@ -260,9 +260,9 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                 seen_from_above = face[0] * to_eye[0] + face[1] * to_eye[1] + face[2] * to_eye[2] > 0.0
                 if seen_from_above and smooth:
                     lift[i, j] = (
-                        (1.0 - u - v) * lift_to(p[0], ground_normal[a], point[i, j], to_eye)
-                        + u * lift_to(p[1], ground_normal[b], point[i, j], to_eye)
-                        + v * lift_to(p[2], ground_normal[c], point[i, j], to_eye)
+                        (1.0 - u - v) * lift_distance(p[0], ground_normal[a], point[i, j], to_eye)
+                        + u * lift_distance(p[1], ground_normal[b], point[i, j], to_eye)
+                        + v * lift_distance(p[2], ground_normal[c], point[i, j], to_eye)
                     )
                 if len(ground_cells):
                     for k in range(2):
@@ -270,7 +270,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
             elif t < ground + solid:
                 s = t - ground
                 a, b, c = solid_triangles[s, 0], solid_triangles[s, 1], solid_triangles[s, 2]
-                level[i, j] = (1.0 - u - v) * solid_height[a] + u * solid_height[b] + v * solid_height[c]
+                surface_height[i, j] = (1.0 - u - v) * solid_height[a] + u * solid_height[b] + v * solid_height[c]
                 n = solid_normals[s]
                 for k in range(3):
                     shading[i, j, k] = (1.0 - u - v) * n[0, k] + u * n[1, k] + v * n[2, k]
@@ -282,20 +282,20 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                         shading[i, j, k] = -shading[i, j, k]
             else:
                 tree = (t - ground - solid) // 6
-                _tree_look(point[i, j], ray, tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
-                level[i, j] = tree_height[tree] + point[i, j, 2] - tree_base[tree, 2]
+                _shade_leaf(point[i, j], ray, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading[i, j], albedo[i, j])
+                surface_height[i, j] = tree_height[tree] + point[i, j, 2] - tree_base[tree, 2]
             _unit(shading[i, j])
 
 
 @compiled
-def resolve_map(number, solids, trees, albedo_root, points):
+def resolve_map(number, solids, trees, sqrt_albedo, points):
     """Write the objects on a map's ground over the ground's ``points`` where they are higher, in place.
 
     ``number`` (rows, cols) counts triangles from 1: first those of ``SolidsInMap``, then those of ``TreesInMap``.
     """
     solid_position, solid_px, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_px, tree_shape, tree_turn, curvature, px_from_m = trees
-    there, point, level, normal, shading, crease, kind, albedo, corners, _, _ = points
+    there, point, surface_height, normal, shading, crease, kind, albedo, corners, _, _ = points
     rows, cols = number.shape
     solid = len(solid_triangles)
     p, q = np.empty((3, 3)), np.empty((3, 3))
@@ -318,17 +318,17 @@ def resolve_map(number, solids, trees, albedo_root, points):
                     q[c, 0] = tree_px[tree, 0] + px_from_m[0, 0] * east + px_from_m[0, 1] * north
                     q[c, 1] = tree_px[tree, 1] + px_from_m[1, 0] * east + px_from_m[1, 1] * north
                     q[c, 2] = tree_px[tree, 2] + p[c, 2] - tree_base[tree, 2]
-            u, v = _in_plan(q, j + 0.5, i + 0.5)
+            u, v = _barycentric_in_plan(q, j + 0.5, i + 0.5)
             height = q[0, 2] + u * (q[1, 2] - q[0, 2]) + v * (q[2, 2] - q[0, 2])
-            if there[i, j] and level[i, j] >= height:
+            if there[i, j] and surface_height[i, j] >= height:
                 continue
             there[i, j] = True
-            level[i, j] = height
+            surface_height[i, j] = height
             for k in range(3):
                 point[i, j, k] = p[0, k] + u * (p[1, k] - p[0, k]) + v * (p[2, k] - p[0, k])
                 for c in range(3):
                     corners[i, j, 3 * c + k] = p[c, k]
-            _face(p, normal[i, j])
+            _face_normal(p, normal[i, j])
             crease[i, j] = 0.0
             if t < solid:
                 kind[i, j] = MESHES
@@ -343,7 +343,7 @@ def resolve_map(number, solids, trees, albedo_root, points):
                         shading[i, j, k] = -shading[i, j, k]
             else:
                 kind[i, j] = FOREST
-                _tree_look(point[i, j], down, tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
+                _shade_leaf(point[i, j], down, tree_base[tree], tree_shape[tree], sqrt_albedo[i, j], shading[i, j], albedo[i, j])
             _unit(shading[i, j])
 
 
@@ -357,7 +357,7 @@ def _tree_triangle(p, base, shape, turn, curvature, part):
 
 
 @internal
-def _on_plane(p, eye, ray):
+def _barycentric_on_ray(p, eye, ray):
     """Return the clamped barycentric coordinates of the intersection of a ray with a triangle's plane."""
     e1x, e1y, e1z = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     e2x, e2y, e2z = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
@@ -368,21 +368,21 @@ def _on_plane(p, eye, ray):
     sx, sy, sz = eye[0] - p[0, 0], eye[1] - p[0, 1], eye[2] - p[0, 2]
     u = (sx * hx + sy * hy + sz * hz) / det
     qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
-    return _held(u, (ray[0] * qx + ray[1] * qy + ray[2] * qz) / det)
+    return _clamp_barycentric(u, (ray[0] * qx + ray[1] * qy + ray[2] * qz) / det)
 
 
 @internal
-def _in_plan(q, x, y):
+def _barycentric_in_plan(q, x, y):
     ax, ay, bx, by = q[1, 0] - q[0, 0], q[1, 1] - q[0, 1], q[2, 0] - q[0, 0], q[2, 1] - q[0, 1]
     det = ax * by - ay * bx
     if det == 0.0:
         return 1.0 / 3.0, 1.0 / 3.0
     x, y = x - q[0, 0], y - q[0, 1]
-    return _held((x * by - y * bx) / det, (ax * y - ay * x) / det)
+    return _clamp_barycentric((x * by - y * bx) / det, (ax * y - ay * x) / det)
 
 
 @internal
-def _held(u, v):
+def _clamp_barycentric(u, v):
     u, v = min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)
     if u + v > 1.0:
         total = u + v
@@ -391,7 +391,7 @@ def _held(u, v):
 
 
 @internal
-def _face(p, out):
+def _face_normal(p, out):
     ax, ay, az = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     bx, by, bz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -403,7 +403,7 @@ def _face(p, out):
 
 
 @compiled
-def _tree_look(point, ray, base, shape, root, shading, albedo):
+def _shade_leaf(point, ray, base, shape, root, shading, albedo):
     """Set the normal of a rounded crown and the leaf's albedo.
 
     The normal is that of the crown's ellipsoid where the ray to the point meets it, or passes nearest to it. It is the same on each

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.lift import up_at
-from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.lights import LightPosition
 
 
-def on_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBuffer:
+def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBuffer:
     """Return a buffer whose points lie on the smooth ground where only the smooth ground faces a light.
 
     These points (``skugga.terrain.gbuffer.lift``) lie on no triangle. Returns the same buffer if no point moves, or if its points
@@ -33,17 +33,17 @@ def on_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBu
         from_frame_m = buffer.surface.centre_frame_m
     else:
         from_frame_m = buffer.view.in_frame(buffer.frame)[0]
-    in_shares(
-        len(lifted), _put, buffer.position_frame_m, buffer.corners_frame_m, lifted, buffer.lift_m, from_frame_m, in_map, position,
+    run_in_chunks(
+        len(lifted), _move_lifted_points, buffer.position_frame_m, buffer.corners_frame_m, lifted, buffer.lift_m, from_frame_m, in_map, position,
         corners,
     )  # fmt: skip
     return replace(buffer, position_frame_m=position, corners_frame_m=corners, lifted=lifted)
 
 
 @compiled
-def _put(first, last, points, triangles, lifted, lift, origin, in_map, position, corners):
+def _move_lifted_points(first, last, points, triangles, lifted, lift, origin, in_map, position, corners):
     """Copy points, and move the lifted ones: up, away from a centre, in a map; else towards the eye, at most half-way."""
-    way = np.empty(3)
+    direction = np.empty(3)
     for i in range(first, last):
         for j in range(lifted.shape[1]):
             p = position[i, j]
@@ -55,16 +55,16 @@ def _put(first, last, points, triangles, lifted, lift, origin, in_map, position,
             if not lifted[i, j]:
                 continue
             if in_map:
-                up_at(p, origin, way)
+                up_at(p, origin, direction)
                 for k in range(3):
-                    p[k] += lift[i, j] * way[k]
+                    p[k] += lift[i, j] * direction[k]
             else:
                 for k in range(3):
-                    way[k] = origin[k] - p[k]
-                length = np.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+                    direction[k] = origin[k] - p[k]
+                length = np.sqrt(direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2])
                 share = min(np.float64(lift[i, j]), 0.5 * length) / length
                 for k in range(3):
-                    p[k] += way[k] * share
+                    p[k] += direction[k] * share
             if corners is not None:
                 for k in range(9):
                     corners[i, j, k] = p[k % 3]

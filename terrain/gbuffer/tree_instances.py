@@ -15,16 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.scene_objects import SceneObjects
 from skugga.terrain.trees.foliage import TREE_VARIANTS, leaf_outlines
 from skugga.terrain.trees.trees import Trees
 
-ALL_TREES_PX = 6.8
+FULL_STAND_TREE_PX = 6.8
 """Tree height in pixels from which a perspective view draws all trees."""
 
-ALL_CROWNS_PX = 1.5
+FULL_STAND_CROWN_PX = 1.5
 """Crown diameter in pixels from which a map draws all trees."""
 
 MIN_DRAWN_SHARE = 1.0 / 16.0
@@ -66,32 +66,32 @@ class TreeInstances:
     def __len__(self) -> int:
         return len(self.variant)
 
-    def some(self, which: np.ndarray) -> TreeInstances:
+    def select(self, which: np.ndarray) -> TreeInstances:
         """Return the trees that indices or a mask select."""
         return TreeInstances(
             self.number[which], self.base_frame_m[which], self.base_height_m[which], self.shape[which], self.turn[which],
             self.variant[which], self.curvature,
         )  # fmt: skip
 
-    def reaching(self, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    def in_box(self, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return the indices of the trees whose bounding spheres intersect a box.
 
         ``low`` and ``high`` (3,) bound the box in the axes ``rotation @ point + translation``.
         """
         found = np.empty(len(self), np.bool_)
-        in_shares(len(self), _reaching, self.base_frame_m, self.shape, rotation, translation, low, high, found)
+        run_in_chunks(len(self), _reaching, self.base_frame_m, self.shape, rotation, translation, low, high, found)
         return np.flatnonzero(found)
 
-    def in_cone(self, eye: np.ndarray, rotation: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+    def in_frustum(self, eye: np.ndarray, rotation: np.ndarray, tangents: np.ndarray) -> np.ndarray:
         """Return the indices of the trees whose bounding spheres intersect a viewing pyramid.
 
         The apex is ``eye``, the axis the third row of ``rotation``; ``tangents`` are the minimum and maximum of x / z and of y / z.
         """
         found = np.empty(len(self), np.bool_)
-        in_shares(len(self), _in_cone, self.base_frame_m, self.shape, eye, rotation, tangents, found)
+        run_in_chunks(len(self), _in_frustum, self.base_frame_m, self.shape, eye, rotation, tangents, found)
         return np.flatnonzero(found)
 
-    def nearest_first(self, which: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    def front_to_back(self, which: np.ndarray, ahead: np.ndarray) -> np.ndarray:
         """Return the indices ``which`` sorted front to back along a direction (3,).
 
         A rasteriser need not colour what earlier trees hide.
@@ -110,24 +110,24 @@ class TreeInstances:
         return corners[:, :, :1] + uv[..., :1] * right[:, :, None] + uv[..., 1:] * up[:, :, None]
 
 
-def _made_from(objects: SceneObjects, *more: object) -> tuple[object, ...]:
+def _cache_key(objects: SceneObjects, *more: object) -> tuple[object, ...]:
     """Return the cache key. It leaves out meshes: trees stand still while meshes move."""
     return objects.elevation, objects.trees, *more
 
 
-@cached("scene", 512 * MIB, key=_made_from)
+@cached("scene", 512 * MIB, key=_cache_key)
 def tree_instances_in_map(objects: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
     """Return the trees of a map, also beyond its rim; ``None`` without trees."""
     trees = objects.trees
-    return None if trees is None else _stand(objects, trees, frame, trees.crown_m / (pixel_m * ALL_CROWNS_PX))
+    return None if trees is None else _stand(objects, trees, frame, trees.crown_m / (pixel_m * FULL_STAND_CROWN_PX))
 
 
 def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
     """Return whether a map draws at least one tree, or thins all of them out."""
-    return bool((trees.rank < _share(trees.crown_m / (pixel_m * ALL_CROWNS_PX))).any())
+    return bool((trees.rank < _drawn_share(trees.crown_m / (pixel_m * FULL_STAND_CROWN_PX))).any())
 
 
-@cached("scene", 512 * MIB, key=_made_from)
+@cached("scene", 512 * MIB, key=_cache_key)
 def tree_instances_in_perspective(
     objects: SceneObjects, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
 ) -> TreeInstances | None:
@@ -136,13 +136,13 @@ def tree_instances_in_perspective(
     if trees is None:
         return None
     size = np.empty(len(trees.rank))
-    in_shares(len(size), _seen_from, trees.base_earth_m, np.array(eye_earth_m), trees.height_m * focal_px, size)
+    run_in_chunks(len(size), _write_relative_sizes, trees.base_earth_m, np.array(eye_earth_m), trees.height_m * focal_px, size)
     return _stand(objects, trees, frame, size)
 
 
 def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndarray) -> TreeInstances:
     """Return the drawn trees. ``size`` (n,) is each tree's size over the size from which all trees are drawn."""
-    share = _share(size)
+    share = _drawn_share(size)
     number = np.flatnonzero(trees.rank < share)
     share = share[number]
     base = _bases(objects, frame)[number]
@@ -166,7 +166,7 @@ def _turns(trees: Trees) -> np.ndarray:
     return np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32)
 
 
-@cached("scene", 256 * MIB, key=_made_from)
+@cached("scene", 256 * MIB, key=_cache_key)
 def _bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
     """Return the feet (n, 3) of all trees in a frame, which several eyes share."""
     assert objects.trees is not None
@@ -174,17 +174,17 @@ def _bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
 
 
 @compiled
-def _seen_from(first, last, base, eye, height_px, out):
+def _write_relative_sizes(first, last, base, eye, height_px, out):
     """Write the trees' heights in pixels as shares of the height from which all trees are drawn.
 
     ``height_px`` are their heights in pixels at a distance of 1 m.
     """
     for n in range(first, last):
         x, y, z = base[n, 0] - eye[0], base[n, 1] - eye[1], base[n, 2] - eye[2]
-        out[n] = height_px[n] / (max(np.sqrt(x * x + y * y + z * z), 1.0) * ALL_TREES_PX)
+        out[n] = height_px[n] / (max(np.sqrt(x * x + y * y + z * z), 1.0) * FULL_STAND_TREE_PX)
 
 
-def _share(size: np.ndarray) -> np.ndarray:
+def _drawn_share(size: np.ndarray) -> np.ndarray:
     return np.clip(size.astype(np.float64) ** 2, MIN_DRAWN_SHARE, 1.0)
 
 
@@ -232,7 +232,7 @@ def _reaching(first, last, base, shape, rotation, translation, low, high, found)
 
 
 @compiled
-def _in_cone(first, last, base, shape, eye, rotation, tangents, found):
+def _in_frustum(first, last, base, shape, eye, rotation, tangents, found):
     at = np.empty(3)
     for n in range(first, last):
         radius = tree_radius(shape[n])

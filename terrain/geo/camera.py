@@ -51,7 +51,7 @@ class PerspectiveView:
     pixel_share: float = 1.0
 
     @property
-    def numbers(self) -> tuple[object, ...]:
+    def cache_key(self) -> tuple[object, ...]:
         """All parameters as a hashable tuple: equal views have equal tuples."""
         eye, axes = self.eye_earth_m.tobytes(), self.earth_from_camera.tobytes()
         return eye, axes, self.focal_px, self.row0, self.col0, self.step, self.rows, self.cols, self.pixel_share

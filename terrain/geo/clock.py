@@ -20,17 +20,17 @@ CLOCK_WORDS = "solar, utc, an offset such as +02:00, or a time zone such as Euro
 _OFFSET = re.compile(r"(?:(?:utc|gmt)\s*)?([+-])\s*(\d{1,2}?)(?::?([0-5]\d))?", re.IGNORECASE | re.ASCII)
 """An offset, with or without a name before it. ``Etc/GMT+2``, which lies behind UTC, is a zone and does not match."""
 
-_LOST_PLUS = re.compile(r"^((?:utc|gmt)?) (?=\d)", re.IGNORECASE | re.ASCII)
+_PLUS_AS_SPACE = re.compile(r"^((?:utc|gmt)?) (?=\d)", re.IGNORECASE | re.ASCII)
 """The text before a plus sign that arrived as a space, as in URLs."""
 
-MAX_SPELLINGS = 3
+MAX_SUGGESTIONS = 3
 """Zones that are suggested for an unknown name."""
 
 MIN_LETTERS = 5
 """Minimum length of a name for suggestions. Shorter names resemble too many others: EST resembles CEST, which is six hours away."""
 
 
-def clock_named(parameter: str, text: str) -> Clock:
+def parse_clock(parameter: str, text: str) -> Clock:
     """Return the clock of a name.
 
     Accepts letters of either case, short offsets (``+2``, ``UTC+2``) and a ``+`` that arrived as a space. Raises ``InputError``,
@@ -41,34 +41,34 @@ def clock_named(parameter: str, text: str) -> Clock:
         return SOLAR
     if name.lower() in ("utc", "z"):
         return UTC
-    offset = _OFFSET.fullmatch(_LOST_PLUS.sub(r"\1+", text.rstrip().replace("\u2212", "-"), count=1).strip())
+    offset = _OFFSET.fullmatch(_PLUS_AS_SPACE.sub(r"\1+", text.rstrip().replace("\u2212", "-"), count=1).strip())
     if offset is not None and int(offset[2]) < 24:
-        ahead = timedelta(hours=int(offset[2]), minutes=int(offset[3] or 0))
-        return timezone(-ahead if offset[1] == "-" else ahead)
+        offset_from_utc = timedelta(hours=int(offset[2]), minutes=int(offset[3] or 0))
+        return timezone(-offset_from_utc if offset[1] == "-" else offset_from_utc)
     try:
         return ZoneInfo(name)
     except (ValueError, OSError, LookupError):
         pass
     zones = {zone.lower(): zone for zone in available_timezones()}
-    spelt = zones.get(re.sub(r"\s+", "_", name.lower()))
-    if spelt is not None:
-        return ZoneInfo(spelt)
-    alike = ", ".join(_zones_alike(name.lower(), zones))
-    raise InputError(parameter, text, f"{CLOCK_WORDS}{f' (did you mean {alike}?)' if alike else ''}")
+    zone_name = zones.get(re.sub(r"\s+", "_", name.lower()))
+    if zone_name is not None:
+        return ZoneInfo(zone_name)
+    suggestions = ", ".join(_similar_zones(name.lower(), zones))
+    raise InputError(parameter, text, f"{CLOCK_WORDS}{f' (did you mean {suggestions}?)' if suggestions else ''}")
 
 
-def _zones_alike(name: str, zones: dict[str, str]) -> list[str]:
+def _similar_zones(name: str, zones: dict[str, str]) -> list[str]:
     """Return the zones of a city, or those with a spelling similar to a name. ``zones`` maps names in lower case."""
     city = re.sub(r"\s+", "_", name.rpartition("/")[2])
     found = [zone for zone in sorted(zones) if zone.rpartition("/")[2] == city and "/" in zone]
     if not found and len(name) >= MIN_LETTERS:
         by_city = {zone.rpartition("/")[2]: zone for zone in sorted(zones, reverse=True)}
-        found = difflib.get_close_matches(name, zones, MAX_SPELLINGS, cutoff=0.8)
+        found = difflib.get_close_matches(name, zones, MAX_SUGGESTIONS, cutoff=0.8)
         found += [by_city[each] for each in difflib.get_close_matches(city, by_city, 1, cutoff=0.8)]
-    return [zones[zone] for zone in dict.fromkeys(found)][:MAX_SPELLINGS]
+    return [zones[zone] for zone in dict.fromkeys(found)][:MAX_SUGGESTIONS]
 
 
-def day_ends(day: date, clock: tzinfo, parameter: str = "date") -> tuple[datetime, datetime]:
+def day_bounds(day: date, clock: tzinfo, parameter: str = "date") -> tuple[datetime, datetime]:
     """Return the midnights at which a day begins and ends. Raises ``InputError`` for a day that the clock's calendar skips."""
     first = datetime(day.year, day.month, day.day, tzinfo=clock)
     following = day + timedelta(days=1)
@@ -81,7 +81,7 @@ def day_ends(day: date, clock: tzinfo, parameter: str = "date") -> tuple[datetim
 def has_day(day: date, clock: tzinfo) -> bool:
     """Return whether a clock's calendar has a day. Samoa's has no 30 December 2011."""
     try:
-        day_ends(day, clock)
+        day_bounds(day, clock)
     except InputError:
         return False
     return True
@@ -94,7 +94,7 @@ def time_zone_at(lon_deg: float, lat_deg: float) -> str | None:
     return tzfpy.get_tz((lon_deg + 180.0) % 360.0 - 180.0, lat_deg) or None
 
 
-def date_of(name: str, text: str) -> date:
+def parse_date(name: str, text: str) -> date:
     """Return the date of a text such as 2024-03-21. Raises ``InputError``, also for a date that does not exist."""
     try:
         return date.fromisoformat(text.strip())

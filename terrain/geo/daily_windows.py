@@ -9,7 +9,7 @@ from datetime import UTC, date, datetime, time, timedelta, tzinfo
 import numpy as np
 
 from skugga.terrain.errors import InputError, Problem
-from skugga.terrain.geo.clock import Clock, day_ends
+from skugga.terrain.geo.clock import Clock, day_bounds
 from skugga.terrain.geo.sun_path import check_date, sun_path
 from skugga.terrain.geo.world import World
 
@@ -49,7 +49,7 @@ class DailyWindow:
     change_min: float = 0.0
     change_by_min: float = 0.0
 
-    def reading_min(self, minutes: float) -> float:
+    def clock_time_min(self, minutes: float) -> float:
         """Return the clock time some minutes after the start, in minutes from midnight."""
         changed = self.change_by_min != 0.0 and minutes >= self.change_min
         return self.clock_min + minutes + (self.change_by_min if changed else 0.0)
@@ -71,7 +71,7 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
     if isinstance(clock, str):
         start, end = (_solar_moment(day, minutes, world) for minutes in (first_min, last_min))
         return DailyWindow(day, start, (end - start) / timedelta(minutes=1), first_min)
-    day_ends(day, clock)
+    day_bounds(day, clock)
     start, end = _zone_ends(day, first_min, last_min, clock)
     minutes = (end - start) / timedelta(minutes=1)
     if minutes <= 0.0:
@@ -94,16 +94,16 @@ def dates_of(first: date, last: date, every_days: int) -> list[date]:
     return [first + timedelta(days=n) for n in range(0, (last - first).days + 1, every_days)]
 
 
-def readings_of(text: str) -> tuple[float, float]:
+def parse_window(text: str) -> tuple[float, float]:
     """Return the two clock times of a window such as 08:00-16:00, in minutes from midnight. Raises ``InputError``."""
-    found = re.fullmatch(r"(\d{1,2}):([0-5]\d)-(\d{1,2}):([0-5]\d)", text.strip(), re.ASCII)
-    first, last = (int(found[n]) * 60 + int(found[n + 1]) for n in (1, 3)) if found else (-1, -1)
+    match = re.fullmatch(r"(\d{1,2}):([0-5]\d)-(\d{1,2}):([0-5]\d)", text.strip(), re.ASCII)
+    first, last = (int(match[n]) * 60 + int(match[n + 1]) for n in (1, 3)) if match else (-1, -1)
     if not 0 <= first < last <= DAY_MIN:
         raise InputError("window", text, "a start time and a later end time of one day, such as 08:00-16:00, within 00:00-24:00")
     return float(first), float(last)
 
 
-def windows_asked(
+def windows_between(
     world: World, first: date, last: date, every_days: int, readings: tuple[float, float], clock: Clock
 ) -> list[DailyWindow]:
     """Return the windows of the dates from ``first`` to ``last``, every ``every_days`` days.
@@ -114,11 +114,11 @@ def windows_asked(
     days = dates_of(first, last, every_days)
     if len(days) > MOST_DATES:
         raise InputError.over_limit("to", f"{len(days)} dates", str(MOST_DATES), "Choose an earlier date or a larger step")
-    if world.off_earth is not None:
-        raise InputError("date", Problem(f"no sun of a date here, since {world.off_earth}"), "Use a level on the earth")
+    if world.off_earth_reason is not None:
+        raise InputError("date", Problem(f"no sun of a date here, since {world.off_earth_reason}"), "Use a level on the earth")
     if not isinstance(clock, str):
         for name, day in (("date", first), ("to", last)):
-            day_ends(day, clock, name)
+            day_bounds(day, clock, name)
         days = [day for day in days if day == first or _has_window(day, *readings, clock)]
     return [daily_window(day, *readings, clock, world) for day in days]
 
@@ -140,12 +140,12 @@ def _has_window(day: date, first_min: float, last_min: float, zone: tzinfo) -> b
 
 def _zone_moment(day: date, minutes: float, zone: tzinfo, fold: int) -> datetime:
     """Return the moment of a clock time. A skipped clock time counts from the time before the change (PEP 495, ``fold``)."""
-    days, rest = divmod(minutes, DAY_MIN)
-    reading = datetime.combine(day, time()) + timedelta(days=days, minutes=rest)
-    there = reading.replace(tzinfo=zone, fold=fold).astimezone(UTC)
-    if there.astimezone(zone).replace(tzinfo=None) != reading:  # skipped by the clock
-        there = reading.replace(tzinfo=zone, fold=0).astimezone(UTC)
-    return there
+    days, rest_min = divmod(minutes, DAY_MIN)
+    reading = datetime.combine(day, time()) + timedelta(days=days, minutes=rest_min)
+    moment = reading.replace(tzinfo=zone, fold=fold).astimezone(UTC)
+    if moment.astimezone(zone).replace(tzinfo=None) != reading:  # skipped by the clock
+        moment = reading.replace(tzinfo=zone, fold=0).astimezone(UTC)
+    return moment
 
 
 def _offset_min(moment: datetime, zone: tzinfo) -> float:
@@ -172,8 +172,8 @@ def _solar_moment(day: date, minutes: float, world: World) -> datetime:
     lon, lat = world.anchor_lon_deg, float(np.clip(world.anchor_lat_deg, -89.0, 89.0))
     moment = datetime.combine(day, time(), UTC) + timedelta(minutes=minutes - 4.0 * lon)
     for _ in range(SOLAR_ROUNDS):
-        late = (solar_min(moment, lon, lat) - minutes + DAY_MIN / 2) % DAY_MIN - DAY_MIN / 2
-        moment -= timedelta(minutes=late)
+        error_min = (solar_min(moment, lon, lat) - minutes + DAY_MIN / 2) % DAY_MIN - DAY_MIN / 2
+        moment -= timedelta(minutes=error_min)
     return moment
 
 

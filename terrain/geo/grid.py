@@ -44,7 +44,7 @@ PixelWindow = tuple[slice, slice]
 """Rows and columns of a picture."""
 
 
-class Sized(Protocol):
+class PixelArea(Protocol):
     """An object with rows and columns of pixels, such as a view."""
 
     @property
@@ -271,8 +271,8 @@ def map_view(world: World, crs: CRS, bounds: tuple[float, float, float, float], 
     grid = map_grid(world, crs, min(col_px, row_px))
     nodes = max(min(cols, BLOCK_PX) * col_px, min(rows, BLOCK_PX) * row_px) / grid.step
     if nodes > MAX_WINDOW_NODES:
-        oblong = Problem(f"{cols}x{rows} gives pixels of {col_px:.3g} by {row_px:.3g} in {crs.name}")
-        raise InputError("size", oblong, "Choose a size with nearly square pixels")
+        problem = Problem(f"{cols}x{rows} gives pixels of {col_px:.3g} by {row_px:.3g} in {crs.name}")
+        raise InputError("size", problem, "Choose a size with nearly square pixels")
     # Subtract first: with coordinates in the millions differences are exact where sums are not.
     row0, row_step = _snapped(((grid.y0 - north) + row_px / 2) / grid.step, row_px / grid.step, rows)
     col0, col_step = _snapped(((west - grid.x0) + col_px / 2) / grid.step, col_px / grid.step, cols)
@@ -296,13 +296,16 @@ def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
     return blocks
 
 
-def windows_of(view: Sized, block: Sized, row: int, col: int) -> tuple[PixelWindow, PixelWindow]:
+def windows_of(view: PixelArea, block: PixelArea, row: int, col: int) -> tuple[PixelWindow, PixelWindow]:
     """Return the rows and columns of a view that a block covers, and the same ones relative to the block.
 
     ``row`` and ``col`` are the view's row and column of the block's first pixel, as in ``blocks_of``.
     """
-    inside = (slice(max(row, 0), min(row + block.rows, view.rows)), slice(max(col, 0), min(col + block.cols, view.cols)))
-    return inside, (slice(inside[0].start - row, inside[0].stop - row), slice(inside[1].start - col, inside[1].stop - col))
+    view_window = (slice(max(row, 0), min(row + block.rows, view.rows)), slice(max(col, 0), min(col + block.cols, view.cols)))
+    return view_window, (
+        slice(view_window[0].start - row, view_window[0].stop - row),
+        slice(view_window[1].start - col, view_window[1].stop - col),
+    )
 
 
 def _snapped(start: float, step: float, count: int) -> tuple[float, float]:

@@ -27,7 +27,7 @@ import numpy as np
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
-INSIDE = 1e-6
+END_MARGIN = 1e-6
 """Distance from the ends of a segment, as a share of its duration, at which directions are evaluated.
 
 At an end the object may rest.
@@ -64,18 +64,20 @@ class KeyedCurve:
 
         At rest it is the last direction of motion, or before any motion the first one. It is 0 if the curve never moves.
         """
-        since_s, moves = float(self._since_first_s(seconds)), self._moves
-        if not moves.any():
+        since_s, is_moving = float(self._since_first_s(seconds)), self._is_moving
+        if not is_moving.any():
             return np.zeros(self.values.shape[1])
         knots = self._knots_s
-        part = int(np.clip(np.searchsorted(knots, since_s, side="right") - 1, 0, len(moves) - 1))
-        if not moves[part]:
-            before = np.flatnonzero(moves[:part])
-            earlier = int(before[-1]) if len(before) else int(np.flatnonzero(moves)[-1]) if self.loop else None
-            part = int(np.flatnonzero(moves)[0]) if earlier is None else earlier
-            since_s = float(knots[part] if earlier is None else knots[part + 1])
-        margin_s = INSIDE * (knots[part + 1] - knots[part])
-        return np.asarray(self._spline(np.clip(since_s, knots[part] + margin_s, knots[part + 1] - margin_s), 1))
+        segment = int(np.clip(np.searchsorted(knots, since_s, side="right") - 1, 0, len(is_moving) - 1))
+        if not is_moving[segment]:
+            earlier_segments = np.flatnonzero(is_moving[:segment])
+            earlier = (
+                int(earlier_segments[-1]) if len(earlier_segments) else int(np.flatnonzero(is_moving)[-1]) if self.loop else None
+            )
+            segment = int(np.flatnonzero(is_moving)[0]) if earlier is None else earlier
+            since_s = float(knots[segment] if earlier is None else knots[segment + 1])
+        margin_s = END_MARGIN * (knots[segment + 1] - knots[segment])
+        return np.asarray(self._spline(np.clip(since_s, knots[segment] + margin_s, knots[segment + 1] - margin_s), 1))
 
     @property
     def _knots_s(self) -> np.ndarray:
@@ -83,7 +85,7 @@ class KeyedCurve:
         return self.times_s - self.times_s[0]
 
     @property
-    def _moves(self) -> np.ndarray:
+    def _is_moving(self) -> np.ndarray:
         """Mask (n - 1,) of segments with motion."""
         return (np.diff(self.values, axis=0) != 0.0).any(axis=1)
 
@@ -99,15 +101,18 @@ class KeyedCurve:
 
     def _velocities(self) -> np.ndarray:
         """Return the velocities (n, k) at the keyframes."""
-        lasts_s, velocity = np.diff(self._knots_s), np.diff(self.values, axis=0) / np.diff(self._knots_s)[:, None]
+        durations_s, velocity = np.diff(self._knots_s), np.diff(self.values, axis=0) / np.diff(self._knots_s)[:, None]
         if self.loop:
-            lasts_s, velocity = np.r_[lasts_s[-1:], lasts_s, lasts_s[:1]], np.r_[velocity[-1:], velocity, velocity[:1]]
-        before_s, after_s, into, out = lasts_s[:-1], lasts_s[1:], velocity[:-1], velocity[1:]
+            durations_s, velocity = (
+                np.r_[durations_s[-1:], durations_s, durations_s[:1]],
+                np.r_[velocity[-1:], velocity, velocity[:1]],
+            )
+        before_s, after_s, into, out = durations_s[:-1], durations_s[1:], velocity[:-1], velocity[1:]
         speed_in, speed_out = (np.linalg.norm(way, axis=1) for way in (into, out))
-        goes_on = (speed_in > 0.0) & (speed_out > 0.0)
+        is_moving = (speed_in > 0.0) & (speed_out > 0.0)
         weight_in, weight_out = 2.0 * after_s + before_s, after_s + 2.0 * before_s
         with np.errstate(divide="ignore", invalid="ignore"):
             speed = (weight_in + weight_out) / (weight_in / speed_in + weight_out / speed_out)
             direction = (into / speed_in[:, None] + out / speed_out[:, None]) / 2.0
-        at_keys = np.where(goes_on[:, None], speed[:, None] * direction, 0.0)
+        at_keys = np.where(is_moving[:, None], speed[:, None] * direction, 0.0)
         return at_keys if self.loop else np.pad(at_keys, ((1, 1), (0, 0)))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.compiled import compiled, run_in_chunks
 from skugga.terrain.geo.sun import Sun, direction_enu
 from skugga.terrain.geo.world import LocalFrame, World
 
@@ -67,7 +67,7 @@ def light_bounds(
     (inf, -inf).
     """
     ends = np.empty((len(there), 2, 3))
-    in_shares(len(there), _bounds, position_frame_m, there, rotation, translation, ends)
+    run_in_chunks(len(there), _bounds, position_frame_m, there, rotation, translation, ends)
     return ends[:, 0].min(axis=0, initial=np.inf), ends[:, 1].max(axis=0, initial=-np.inf)
 
 

@@ -63,8 +63,8 @@ def sun_of(spec: SunSpec, world: World) -> Sun:
     if spec.time is None:
         assert spec.azimuth is not None and spec.altitude is not None
         azimuth, altitude = spec.azimuth % 360.0, spec.altitude
-    elif world.off_earth is not None:
-        no_sun = Problem(f"'{spec.time.isoformat()}' has no sun here, since {world.off_earth}")
+    elif world.off_earth_reason is not None:
+        no_sun = Problem(f"'{spec.time.isoformat()}' has no sun here, since {world.off_earth_reason}")
         raise InputError("time", no_sun, "Give azimuth and altitude")
     else:
         azimuth, altitude, lift = apparent_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)

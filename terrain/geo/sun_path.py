@@ -64,8 +64,8 @@ def sun_path(times: Sequence[datetime] | np.ndarray, lon_deg: float, lat_deg: fl
 def check_times(moments: np.ndarray) -> None:
     """Raise ``InputError`` for times (datetime64 in UTC) outside of ``YEARS``."""
     first, last = (np.datetime64(f"{year}-01-01") for year in (YEARS[0], YEARS[1] + 1))
-    zones = np.timedelta64(1, "D")  # tolerance: each zone begins and ends a year at its own time
-    for moment in moments[(moments < first - zones) | (moments >= last + zones)][:1]:
+    tolerance = np.timedelta64(1, "D")  # tolerance: each zone begins and ends a year at its own time
+    for moment in moments[(moments < first - tolerance) | (moments >= last + tolerance)][:1]:
         raise InputError("time", str(moment.astype("datetime64[s]")), f"years {YEARS[0]} to {YEARS[1]}")
 
 
@@ -79,6 +79,6 @@ def as_utc(times: Sequence[datetime] | np.ndarray) -> np.ndarray:
     """Return times as datetime64[us] in UTC (n,)."""
     if isinstance(times, np.ndarray):
         return times.astype("datetime64[us]")
-    own = np.array([time.replace(tzinfo=None) for time in times], "datetime64[us]")
+    local = np.array([time.replace(tzinfo=None) for time in times], "datetime64[us]")
     offsets = np.array([time.utcoffset() or timedelta(0) for time in times], "timedelta64[us]")
-    return own - offsets  # ``astimezone`` would leave the years 1 to 9999 and fail
+    return local - offsets  # ``astimezone`` would leave the years 1 to 9999 and fail

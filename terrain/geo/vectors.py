@@ -19,16 +19,16 @@ from skugga.terrain.geo.world import AxesTransformer, transformer
 from skugga.terrain.level.data_files import check_geodata
 from skugga.terrain.level.linked_files import is_remote
 
-LONGEST_EDGE = {True: 0.01, False: 1000.0}
+MAX_EDGE = {True: 0.01, False: 1000.0}
 """Maximum length of an edge when it is projected, by whether the CRS is geographic: degrees, else the CRS's units.
 
 Longer edges are divided first, since a projection bends straight lines. The remaining bend is a few centimetres.
 """
 
-FARTHEST = {True: 540.0, False: 1e9}
+MAX_COORDINATE = {True: 540.0, False: 1e9}
 """Maximum absolute value of a valid coordinate, by whether the CRS is geographic: degrees, else the CRS's units."""
 
-HIGHEST_LATITUDE = 90.0 + 1e-6
+MAX_LATITUDE = 90.0 + 1e-6
 """Maximum latitude in degrees, with a tolerance for rounding in files."""
 
 MOST_COORDINATES = 50_000_000
@@ -42,10 +42,10 @@ _EDGES_AT_ONCE = 64
 _POINT, _POLYGON = 0, 3  # shapely's type ids
 
 
-ONE_LAYER = (".geojson", ".shp", ".fgb")
+SINGLE_LAYER_SUFFIXES = (".geojson", ".shp", ".fgb")
 """Suffixes of files with one layer. Listing the layers of a large GeoJSON takes as long as reading it."""
 
-FIRST_FEATURES, FIRST_LAYERS = 100, 100
+INSPECTED_FEATURES, MAX_INSPECTED_LAYERS = 100, 100
 """Features that determine a layer's kind of geometry, and the maximum number of layers that are inspected."""
 
 HOLE_OUTSIDE = "Hole lies outside shell"
@@ -90,7 +90,7 @@ class Features:
         return f"feature {number} of {self.count}" + ("" if fid in (number, number - 1) else f" (fid {fid})")
 
     @property
-    def dropped(self) -> int:
+    def omitted_count(self) -> int:
         """Number of features that were omitted because they have no geometry."""
         return self.count - len(np.unique(self.number))
 
@@ -103,32 +103,35 @@ class VectorLayer:
     ----------
     name
         The layer's name; ``None`` for the only layer.
-    others
+    other_layers
         The other layers with geometries of the same kind.
     """
 
     name: str | None = None
-    others: tuple[str, ...] = ()
+    other_layers: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Statements on the choice of a layer among several."""
-        if not self.others:
+        if not self.other_layers:
             return () if self.name is None else (f"layer '{self.name}'",)
-        return (f"layer '{self.name}', not {', '.join(self.others)} (the key layer selects another one)",)
+        return (f"layer '{self.name}', not {', '.join(self.other_layers)} (the key layer selects another one)",)
 
 
 def vector_layer(
-    source: str, dimensions: Sequence[int], name: str | None = None, has: Callable[[tuple[str, ...]], bool] | None = None
+    source: str,
+    dimensions: Sequence[int],
+    name: str | None = None,
+    accepts_attributes: Callable[[tuple[str, ...]], bool] | None = None,
 ) -> VectorLayer:
     """Return the layer of a name, or else the first layer with geometries of some dimensions (0: points, 1: lines, 2: polygons).
 
-    Among several such layers it is the first whose attributes ``has`` accepts. Raises ``SourceError``.
+    Among several such layers it is the first whose attributes ``accepts_attributes`` accepts. Raises ``SourceError``.
     """
     check_geodata(source)
-    if name is None and source.lower().endswith(ONE_LAYER):
+    if name is None and source.lower().endswith(SINGLE_LAYER_SUFFIXES):
         return VectorLayer()
-    with _opened(source):
+    with _gdal_errors(source):
         import pyogrio
 
         names = [str(row[0]) for row in pyogrio.list_layers(source)]
@@ -139,27 +142,27 @@ def vector_layer(
             return VectorLayer(name)
         if len(names) < 2:
             return VectorLayer()
-        held = {each: _dimensions_of(source, each) for each in names[:FIRST_LAYERS]}
-    fitting = [each for each in held if held[each] & set(dimensions)]
-    if not fitting:  # reading the layer reports its geometries
-        return VectorLayer(next((each for each in held if held[each]), names[0]))
-    chosen = fitting[0]
-    if has is not None and len(fitting) > 1:
-        chosen = next((each for each in fitting if has(attribute_names(source, each))), chosen)
-    return VectorLayer(chosen, tuple(each for each in fitting if each != chosen))
+        dimensions_by_layer = {each: _dimensions_of(source, each) for each in names[:MAX_INSPECTED_LAYERS]}
+    candidates = [each for each in dimensions_by_layer if dimensions_by_layer[each] & set(dimensions)]
+    if not candidates:  # reading the layer reports its geometries
+        return VectorLayer(next((each for each in dimensions_by_layer if dimensions_by_layer[each]), names[0]))
+    chosen = candidates[0]
+    if accepts_attributes is not None and len(candidates) > 1:
+        chosen = next((each for each in candidates if accepts_attributes(attribute_names(source, each))), chosen)
+    return VectorLayer(chosen, tuple(each for each in candidates if each != chosen))
 
 
 def _dimensions_of(source: str, layer: str) -> set[int]:
     """Return the dimensions of a layer's first geometries; empty if it has none."""
     import pyogrio
 
-    _, _, wkb, _ = pyogrio.raw.read(source, layer=layer, columns=[], force_2d=True, max_features=FIRST_FEATURES)
+    _, _, wkb, _ = pyogrio.raw.read(source, layer=layer, columns=[], force_2d=True, max_features=INSPECTED_FEATURES)
     geometry = shapely.from_wkb(wkb if wkb is not None else np.empty(0, object), on_invalid="ignore")
     return set(shapely.get_dimensions(geometry[~(shapely.is_missing(geometry) | shapely.is_empty(geometry))]).tolist())
 
 
 def read_features(
-    source: str, crs: CRS, attributes: Sequence[str] = (), usual: Sequence[str] = (), layer: VectorLayer | None = None
+    source: str, crs: CRS, attributes: Sequence[str] = (), optional_attributes: Sequence[str] = (), layer: VectorLayer | None = None
 ) -> Features:
     """Read a layer of a vector file into ``crs``, with x before y.
 
@@ -174,7 +177,7 @@ def read_features(
         The CRS of the result.
     attributes
         Names of attributes that the layer must have.
-    usual
+    optional_attributes
         Names of attributes that are read if the layer has them.
     layer
         The layer. Default: the first one.
@@ -189,21 +192,24 @@ def read_features(
     import pyogrio  # imported here: it imports pandas if that is installed, which takes 0.5 s
     from pyogrio.errors import DataLayerError, DataSourceError
 
-    wanted, named = list(dict.fromkeys([*attributes, *usual])), 0 if layer is None or layer.name is None else layer.name
+    names, layer_name = (
+        list(dict.fromkeys([*attributes, *optional_attributes])),
+        0 if layer is None or layer.name is None else layer.name,
+    )
     try:
-        with _quiet():
+        with _without_warnings():
             # Attributes are not checked first, since any query reads a large GeoJSON from end to end.
             meta, fid, wkb, columns = pyogrio.raw.read(
-                source, layer=named, columns=wanted, force_2d=True, return_fids=True, datetime_as_string=True
+                source, layer=layer_name, columns=names, force_2d=True, return_fids=True, datetime_as_string=True
             )
             geometry = shapely.from_wkb(wkb if wkb is not None else np.empty(0, object), on_invalid="ignore")
     except (DataSourceError, DataLayerError, shapely.errors.GEOSException, ValueError) as error:
-        attribute_names(source, named)  # raises a clearer error if the file is missing or has no vectors
-        raise SourceError(source, _reason(error, source), "Use an undamaged vector file") from None
+        attribute_names(source, layer_name)  # raises a clearer error if the file is missing or has no vectors
+        raise SourceError(source, _gdal_message(error, source), "Use an undamaged vector file") from None
     for name in attributes:
         if name not in meta["fields"]:
-            known = attribute_names(source, named)
-            remedy = f"Use one of {', '.join(known)}" if known else "Use a file with attributes"
+            available = attribute_names(source, layer_name)
+            remedy = f"Use one of {', '.join(available)}" if available else "Use a file with attributes"
             raise SourceError(source, f"no attribute '{name}'", remedy)
     values = dict(zip(meta["fields"], columns, strict=True))
     features = Features(source, geometry, values, np.arange(1, len(geometry) + 1), len(geometry), fid)
@@ -214,32 +220,32 @@ def read_features(
     geometry[missing] = shapely.Point()
     if shapely.is_empty(geometry).all():
         raise SourceError(source, "no feature with a geometry", "Use points or polygons")
-    own = _crs(source, meta["crs"], crs)
-    axes = axes_of(own)
+    file_crs = _crs(source, meta["crs"], crs)
+    axes = axes_of(file_crs)
     if not axes.are_standard:
         geometry[:] = shapely.transform(geometry, axes.xy, interleaved=False)
-    _check_places(features, own, crs, *shapely.get_coordinates(geometry, return_index=True))
+    _check_coordinates(features, file_crs, crs, *shapely.get_coordinates(geometry, return_index=True))
     _check_holes(features)
     # Repaired before the projection, since only valid polygons are divided correctly, and after it, since it may fold them.
-    geometry[:] = _mended(source, geometry)
-    if not same_coordinates(own, crs):
-        geometry[:] = _mended(source, _projected(features, own, crs))
-    kept = np.flatnonzero(~shapely.is_empty(geometry))
-    if not len(kept):
+    geometry[:] = _repaired(source, geometry)
+    if not same_coordinates(file_crs, crs):
+        geometry[:] = _repaired(source, _projected(features, file_crs, crs))
+    nonempty = np.flatnonzero(~shapely.is_empty(geometry))
+    if not len(nonempty):
         raise SourceError(source, "only polygons without an area", "Use points or polygons with an area")
-    return features[kept]
+    return features[nonempty]
 
 
 def attribute_names(source: str, layer: str | int = 0) -> tuple[str, ...]:
     """Return the names of the attributes of a layer of a vector file. Raises ``SourceError``."""
     check_geodata(source)
-    with _opened(source):
+    with _gdal_errors(source):
         import pyogrio
 
         return tuple(str(name) for name in pyogrio.read_info(source, layer=layer)["fields"])
 
 
-def numbers(features: Features, attribute: str, number_of: Callable[[str], float] = float) -> np.ndarray:
+def numeric_attribute(features: Features, attribute: str, number_of: Callable[[str], float] = float) -> np.ndarray:
     """Return an attribute as float64 (n,), NaN where it is missing.
 
     ``number_of`` parses text and raises ``ValueError``. Raises ``SourceError``, which names the feature, for text that is no
@@ -255,73 +261,73 @@ def numbers(features: Features, attribute: str, number_of: Callable[[str], float
         try:
             result[row] = number_of(value) if isinstance(value, str) else float(value)
         except (TypeError, ValueError):
-            said = f"{attribute} = {value} at {features.label(row)} is no number"
-            raise SourceError(features.name, said, f"Use numbers in the attribute '{attribute}'") from None
+            problem = f"{attribute} = {value} at {features.label(row)} is no number"
+            raise SourceError(features.name, problem, f"Use numbers in the attribute '{attribute}'") from None
     return result
 
 
-def between(source: str, own: CRS, crs: CRS, back: bool = False) -> Transformer | AxesTransformer:
+def transformer_between(source: str, file_crs: CRS, crs: CRS, back: bool = False) -> Transformer | AxesTransformer:
     """Return the transformation from a file's CRS to another one, or the reverse one with ``back``.
 
     Raises ``SourceError`` if none exists.
     """
     try:
-        return transformer(crs, own) if back else transformer(own, crs)
+        return transformer(crs, file_crs) if back else transformer(file_crs, crs)
     except ProjError:
-        said = f"its CRS '{own.name}' cannot be transformed into '{crs.name}'"
-        raise SourceError(source, said, "Use a file in another CRS") from None
+        problem = f"its CRS '{file_crs.name}' cannot be transformed into '{crs.name}'"
+        raise SourceError(source, problem, "Use a file in another CRS") from None
 
 
-def same_coordinates(own: CRS, crs: CRS) -> bool:
+def same_coordinates(file_crs: CRS, crs: CRS) -> bool:
     """Return whether coordinates have the same meaning in both CRSs, x before y. Engineering CRSs of one unit share one origin."""
-    if own.is_engineering and crs.is_engineering:
-        return own.axis_info[0].unit_conversion_factor == crs.axis_info[0].unit_conversion_factor
-    return own.equals(crs, ignore_axis_order=True)
+    if file_crs.is_engineering and crs.is_engineering:
+        return file_crs.axis_info[0].unit_conversion_factor == crs.axis_info[0].unit_conversion_factor
+    return file_crs.equals(crs, ignore_axis_order=True)
 
 
-def _crs(source: str, text: str | None, wanted: CRS) -> CRS:
+def _crs(source: str, text: str | None, target: CRS) -> CRS:
     try:
         if text:
             return CRS.from_user_input(text)
     except CRSError:
         raise SourceError(source, "a CRS that PROJ does not understand", "Use a vector file with a CRS that PROJ knows") from None
-    if wanted.is_engineering:
-        return wanted
-    beside = " (its .prj file is missing)" if source.lower().endswith(".shp") else ""
-    raise SourceError(source, f"no coordinate reference system{beside}", "Use a vector file with a CRS")
+    if target.is_engineering:
+        return target
+    hint = " (its .prj file is missing)" if source.lower().endswith(".shp") else ""
+    raise SourceError(source, f"no coordinate reference system{hint}", "Use a vector file with a CRS")
 
 
-def _projected(features: Features, own: CRS, crs: CRS) -> np.ndarray:
+def _projected(features: Features, file_crs: CRS, crs: CRS) -> np.ndarray:
     source, geometry = features.name, features.geometry
     edged = shapely.get_dimensions(geometry) > 0
-    check_divided(source, geometry[edged], LONGEST_EDGE[own.is_geographic])
-    geometry[edged] = shapely.segmentize(geometry[edged], LONGEST_EDGE[own.is_geographic])
+    check_divided_size(source, geometry[edged], MAX_EDGE[file_crs.is_geographic])
+    geometry[edged] = shapely.segmentize(geometry[edged], MAX_EDGE[file_crs.is_geographic])
     before, index = shapely.get_coordinates(geometry, return_index=True)
-    after = np.column_stack(between(source, own, crs).transform(before[:, 0], before[:, 1]))
-    _check_places(features, own, crs, before, index, after)
+    after = np.column_stack(transformer_between(source, file_crs, crs).transform(before[:, 0], before[:, 1]))
+    _check_coordinates(features, file_crs, crs, before, index, after)
     if len(before) == len(geometry) and (shapely.get_type_id(geometry) == _POINT).all():
         return shapely.points(after)  # five times as fast as ``set_coordinates``
     return shapely.set_coordinates(geometry, after)
 
 
-def _check_places(
-    features: Features, own: CRS, crs: CRS, before: np.ndarray, index: np.ndarray, after: np.ndarray | None = None
+def _check_coordinates(
+    features: Features, file_crs: CRS, crs: CRS, before: np.ndarray, index: np.ndarray, after: np.ndarray | None = None
 ) -> None:
     """Raise ``SourceError`` for coordinates that have no position in a CRS. ``index`` is the feature of each."""
-    in_degrees = own.is_geographic and own.axis_info[0].unit_name == "degree"
-    farthest = FARTHEST[own.is_geographic], HIGHEST_LATITUDE if in_degrees else FARTHEST[own.is_geographic]
-    known = np.abs(before) <= farthest if after is None else np.isfinite(after)
-    bad = np.flatnonzero(~known.all(axis=1))
+    in_degrees = file_crs.is_geographic and file_crs.axis_info[0].unit_name == "degree"
+    limits = MAX_COORDINATE[file_crs.is_geographic], MAX_LATITUDE if in_degrees else MAX_COORDINATE[file_crs.is_geographic]
+    valid = np.abs(before) <= limits if after is None else np.isfinite(after)
+    bad = np.flatnonzero(~valid.all(axis=1))
     if len(bad):
         place = ", ".join(f"{v:.10g}" for v in before[bad[0]])
         raise SourceError(
             features.name,
-            f"{features.label(index[bad[0]])}: the coordinates {place} of '{own.name}' cannot be transformed into '{crs.name}'",
+            f"{features.label(index[bad[0]])}: the coordinates {place} of '{file_crs.name}' cannot be transformed into '{crs.name}'",
             "Correct the coordinates or the file's CRS",
         )  # fmt: skip
 
 
-def check_divided(source: str, geometry: np.ndarray, longest: float) -> None:
+def check_divided_size(source: str, geometry: np.ndarray, longest: float) -> None:
     """Raise ``SourceError`` for lines and outlines with too many points after edges longer than ``longest`` are divided."""
     count = float(np.sum(shapely.get_num_coordinates(geometry) + np.ceil(shapely.length(geometry) / longest)))
     if count > MOST_COORDINATES:
@@ -334,14 +340,14 @@ def _check_crossings(source: str, polygons: np.ndarray) -> None:
     count = 0
     for polygon in polygons:
         xy, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(polygon)), return_index=True)
-        along = ring[1:] == ring[:-1]
-        edges = shapely.linestrings(np.stack([xy[:-1][along], xy[1:][along]], axis=1))
+        is_edge = ring[1:] == ring[:-1]
+        edges = shapely.linestrings(np.stack([xy[:-1][is_edge], xy[1:][is_edge]], axis=1))
         tree = shapely.STRtree(edges)
         for first in range(0, len(edges), _EDGES_AT_ONCE):
             count += tree.query(edges[first : first + _EDGES_AT_ONCE], predicate="crosses").shape[1] / 2
             if count > MOST_CROSSINGS:
-                said = f"polygons that cross themselves more than {MOST_CROSSINGS} times"
-                raise SourceError(source, said, "Use valid polygons")
+                problem = f"polygons that cross themselves more than {MOST_CROSSINGS} times"
+                raise SourceError(source, problem, "Use valid polygons")
 
 
 def _check_holes(features: Features) -> None:
@@ -350,27 +356,27 @@ def _check_holes(features: Features) -> None:
     for row, reason in zip(invalid, shapely.is_valid_reason(features.geometry[invalid]), strict=True):
         if reason.startswith(HOLE_OUTSIDE):
             place = ", ".join(reason.removeprefix(HOLE_OUTSIDE).strip("[]").split())
-            said = f"{features.label(row)}: a hole outside of its polygon, at {place}"
+            problem = f"{features.label(row)}: a hole outside of its polygon, at {place}"
             raise SourceError(
-                features.name, said, "Keep holes within their polygons, and use a multi-polygon for several buildings"
+                features.name, problem, "Keep holes within their polygons, and use a multi-polygon for several buildings"
             )
 
 
-def _mended(source: str, geometry: np.ndarray) -> np.ndarray:
+def _repaired(source: str, geometry: np.ndarray) -> np.ndarray:
     """Return geometries with invalid polygons repaired; empty where no area is left. Raises ``SourceError``."""
     with_area = shapely.get_dimensions(geometry) == 2
     invalid = np.flatnonzero(with_area & ~shapely.is_valid(geometry))
     _check_crossings(source, geometry[invalid])
     for i in invalid:
         # The method "linework" takes a hundred times as long for polygons with many crossings.
-        whole = shapely.make_valid(geometry[i], method="structure", keep_collapsed=False)
-        parts = shapely.get_parts(shapely.get_parts(whole))  # of a collection's multi-polygons
+        valid = shapely.make_valid(geometry[i], method="structure", keep_collapsed=False)
+        parts = shapely.get_parts(shapely.get_parts(valid))  # of a collection's multi-polygons
         geometry[i] = shapely.union_all(parts[shapely.get_type_id(parts) == _POLYGON])
     return geometry
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _without_warnings() -> Iterator[None]:
     """Suppress GDAL's warnings on a file. Problems that matter are raised as errors."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -378,19 +384,19 @@ def _quiet() -> Iterator[None]:
 
 
 @contextmanager
-def _opened(source: str) -> Iterator[None]:
+def _gdal_errors(source: str) -> Iterator[None]:
     """Turn GDAL's errors on a file into one ``SourceError``."""
     from pyogrio.errors import DataLayerError, DataSourceError
 
     if not is_remote(source) and not Path(source).exists():
         raise SourceError(source, "no such file", "Use a vector file that GDAL reads")
     try:
-        with _quiet():
+        with _without_warnings():
             yield
     except DataLayerError:
         raise SourceError(source, "no layer", "Use a vector file with features") from None
     except (DataSourceError, UnicodeDecodeError) as error:
-        raise SourceError(source, _reason(error, source), "Use a vector file that GDAL reads") from None
+        raise SourceError(source, _gdal_message(error, source), "Use a vector file that GDAL reads") from None
 
 
 def _damage(wkb: bytes) -> str:
@@ -402,7 +408,7 @@ def _damage(wkb: bytes) -> str:
     return "a damaged geometry"
 
 
-def _reason(error: Exception, source: str) -> str:
+def _gdal_message(error: Exception, source: str) -> str:
     """Return GDAL's message without its lists of drivers and without the path."""
     text = str(error).split(";")[0].replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
     return text or "it cannot be opened"

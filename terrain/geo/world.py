@@ -30,7 +30,7 @@ FRAME_PITCH_DEG = 0.25
 
 EARTH_RADIUS_M = 6_371_000.0
 
-EARTHS_AXIS_M, LIKE_EARTH = 6_375_000.0, 0.005
+EARTH_SEMI_MAJOR_M, EARTH_TOLERANCE = 6_375_000.0, 0.005
 """PROJ takes an ellipsoid for the earth's if its semi-major axis differs by less than this share (``Ellipsoid::guessBodyName``)."""
 
 FRAME_PITCH_M = 16384.0
@@ -40,7 +40,7 @@ TRANSFORMER_BYTES = 2**16
 """Approximate size of a PROJ transformation in memory."""
 
 
-def _identity(*crss: CRS) -> tuple[IdentityKey, ...]:
+def _identity_key(*crss: CRS) -> tuple[IdentityKey, ...]:
     """Return a cache key that compares CRSs by identity.
 
     Hashing a CRS by value serialises it, which takes longer than most cached computations.
@@ -65,7 +65,7 @@ class AxesTransformer:
         return self._target.bounds_xy(self._stored.transform_bounds(*stored, densify_pts=densify_pts))
 
 
-@cached("process", 8 * MIB, key=_identity, size_of=lambda _: TRANSFORMER_BYTES)
+@cached("process", 8 * MIB, key=_identity_key, size_of=lambda _: TRANSFORMER_BYTES)
 def transformer(source: CRS, target: CRS) -> Transformer | AxesTransformer:
     """Return a cached transformation between two CRSs, with x to the east and y to the north, and angles in degrees.
 
@@ -80,13 +80,13 @@ def transformer(source: CRS, target: CRS) -> Transformer | AxesTransformer:
     return stored if axes[0].are_standard and axes[1].are_standard else AxesTransformer(stored, *axes)
 
 
-@cached("process", MIB, key=_identity, size_of=lambda _: 256)
+@cached("process", MIB, key=_identity_key, size_of=lambda _: 256)
 def ellipsoid_of(crs: CRS) -> Geod:
     """Return the ellipsoid of a CRS's ground: WGS 84, or that of another celestial body."""
-    own = crs.ellipsoid
-    if own is None or abs(own.semi_major_metre / EARTHS_AXIS_M - 1.0) < LIKE_EARTH:
+    crs_ellipsoid = crs.ellipsoid
+    if crs_ellipsoid is None or abs(crs_ellipsoid.semi_major_metre / EARTH_SEMI_MAJOR_M - 1.0) < EARTH_TOLERANCE:
         return WGS84
-    return Geod(a=own.semi_major_metre, b=own.semi_minor_metre)
+    return Geod(a=crs_ellipsoid.semi_major_metre, b=crs_ellipsoid.semi_minor_metre)
 
 
 def is_on_earth(crs: CRS) -> bool:
@@ -94,23 +94,23 @@ def is_on_earth(crs: CRS) -> bool:
     return ellipsoid_of(crs) is WGS84
 
 
-@cached("process", MIB, key=_identity, size_of=lambda _: TRANSFORMER_BYTES)
+@cached("process", MIB, key=_identity_key, size_of=lambda _: TRANSFORMER_BYTES)
 def longitude_latitude_of(crs: CRS) -> CRS:
     """Return the CRS of longitude (east) and latitude in degrees on a CRS's celestial body."""
     if is_on_earth(crs) or crs.geodetic_crs is None:
         return LONGITUDE_LATITUDE
-    own = crs.geodetic_crs.to_json_dict()
+    geodetic = crs.geodetic_crs.to_json_dict()
     axes = [
         {"name": name, "abbreviation": name[:3], "direction": direction, "unit": "degree"}
         for name, direction in (("Longitude", "east"), ("Latitude", "north"))
     ]
-    kept = {key: own[key] for key in ("datum", "datum_ensemble") if key in own}
+    datum = {key: geodetic[key] for key in ("datum", "datum_ensemble") if key in geodetic}
     return CRS.from_json_dict(
-        {"type": "GeographicCRS", "name": own["name"], **kept, "coordinate_system": {"subtype": "ellipsoidal", "axis": axes}}
+        {"type": "GeographicCRS", "name": geodetic["name"], **datum, "coordinate_system": {"subtype": "ellipsoidal", "axis": axes}}
     )
 
 
-@cached("process", MIB, key=_identity, size_of=lambda _: 256)
+@cached("process", MIB, key=_identity_key, size_of=lambda _: 256)
 def epsg_of(crs: CRS) -> int | None:
     """Return a CRS's EPSG code, or ``None``. Cached, since a search without result takes PROJ 0.2 s."""
     return crs.to_epsg()
@@ -206,7 +206,7 @@ class World:
         return self.flat or self.ellipsoid is WGS84
 
     @property
-    def off_earth(self) -> str | None:
+    def off_earth_reason(self) -> str | None:
         """The reason why the ground is not georeferenced on the earth; ``None`` on the earth. Dates and tiles need the earth."""
         if self.flat:
             return "an engineering CRS is not georeferenced"
@@ -288,12 +288,12 @@ class World:
         return _frame(self, int(np.rint(point_m[0] / pitch_m)), int(np.rint(point_m[1] / pitch_m)), pitch_m)
 
     def _globe_frame(self, lon: float, lat: float, pitch_deg: float) -> LocalFrame:
-        away = (lon - self.anchor_lon_deg + 180.0) % 360.0 - 180.0
-        i, j = away / (pitch_deg / self._narrowing), (lat - self.anchor_lat_deg) / pitch_deg
+        delta_lon = (lon - self.anchor_lon_deg + 180.0) % 360.0 - 180.0
+        i, j = delta_lon / (pitch_deg / self._cos_anchor_lat), (lat - self.anchor_lat_deg) / pitch_deg
         return _frame(self, int(np.rint(i)), int(np.rint(j)), pitch_deg)
 
     @property
-    def _narrowing(self) -> float:
+    def _cos_anchor_lat(self) -> float:
         """Length of a degree of longitude at the anchor, in degrees of latitude."""
         return float(max(np.cos(np.radians(self.anchor_lat_deg)), 0.01))
 
@@ -313,7 +313,7 @@ class World:
             lon, lat = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
         return np.asarray(lon), np.asarray(lat), height
 
-    def up_from(self, frame: LocalFrame) -> np.ndarray:
+    def up_origin(self, frame: LocalFrame) -> np.ndarray:
         """Return the frame point (3,) from which "up" points away: the earth's centre, or a point far below a flat world."""
         return np.array([0.0, 0.0, -1e12]) if self.flat else frame.points_from_earth(np.zeros(3))
 
@@ -328,7 +328,7 @@ def _frame(world: World, i: int, j: int, pitch: float) -> LocalFrame:
     """Return a frame of the lattice. Cached, so that caches may compare frames by identity."""
     if world.flat:
         return LocalFrame((i, j), np.array([i * pitch, j * pitch, 0.0]), np.eye(3))
-    lon = world.anchor_lon_deg + i * pitch / world._narrowing
+    lon = world.anchor_lon_deg + i * pitch / world._cos_anchor_lat
     origin, up = geocentric(np.float64(lon), np.float64(world.anchor_lat_deg + j * pitch), world.ellipsoid)
     return LocalFrame((i, j), origin, world.earth_from_enu(origin, up).T)
 

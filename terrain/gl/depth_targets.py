@@ -38,76 +38,76 @@ class DepthTargets:
     def __init__(self, make: Callable[[int, int, int], Framebuffer], release: Callable[[Framebuffer], None]) -> None:
         self._make, self._release = make, release
         self.name, self.lifetime, self.limit_bytes = "skugga.terrain.gl.depth_targets", "light", MAX_TARGET_BYTES
-        self._held: list[_Target] = []  # least recently used first
+        self._targets: list[_Target] = []  # least recently used first
         register_cache(self)
 
     def __len__(self) -> int:
         """Return the number of cached contents."""
-        return sum(each.content is not None for each in self._held)
+        return sum(each.content is not None for each in self._targets)
 
     @property
     def count(self) -> int:
         """Number of framebuffers in the pool, with or without cached content."""
-        return len(self._held)
+        return len(self._targets)
 
     @property
     def nbytes(self) -> int:
         """Bytes of the texels of all framebuffers in the pool."""
-        return sum(depth_bytes(*each.shape) for each in self._held)
+        return sum(depth_bytes(*each.shape) for each in self._targets)
 
-    def take(self, width: int, height: int, bits: int) -> Framebuffer:
+    def acquire(self, width: int, height: int, bits: int) -> Framebuffer:
         """Return a framebuffer to draw in.
 
         Its content lasts until the next call for the same shape. Content that ``keep`` caches survives at least the next call of
         any shape, and longer while the pool has room.
         """
         shape = width, height, bits
-        alike = [each for each in self._held if each.shape == shape]
-        found = next((each for each in alike if each.content is None), None)
+        same_shape = [each for each in self._targets if each.shape == shape]
+        found = next((each for each in same_shape if each.content is None), None)
         if found is None:
-            self._make_room(shape, [each for each in self._held[:-1] if each.content is None])
+            self._make_room(shape, [each for each in self._targets[:-1] if each.content is None])
             if not self._has_room(shape):
                 # Prefer the least recently used target of this shape to older ones of other shapes: allocating a framebuffer
                 # costs more than redrawing its content.
-                found = next((each for each in alike if each is not self._held[-1]), None)
+                found = next((each for each in same_shape if each is not self._targets[-1]), None)
         if found is None:
-            self._make_room(shape, self._held[:-1])
+            self._make_room(shape, self._targets[:-1])
         else:
-            self._held.remove(found)
+            self._targets.remove(found)
         framebuffer = self._make(*shape) if found is None else found.framebuffer
-        self._held.append(_Target(framebuffer, shape))
+        self._targets.append(_Target(framebuffer, shape))
         return framebuffer
 
     def keep(self, framebuffer: Framebuffer, content: Hashable) -> None:
         """Cache the content of a framebuffer under a key, while the pool has room."""
-        for each in self._held:
+        for each in self._targets:
             if each.framebuffer is framebuffer:
                 each.content = content
 
     def kept(self, content: Hashable) -> Framebuffer | None:
         """Return the framebuffer with a cached content and mark it as used, or ``None`` if it was evicted."""
-        found = next((each for each in self._held if each.content is not None and each.content == content), None)
+        found = next((each for each in self._targets if each.content is not None and each.content == content), None)
         if found is None:
             return None
-        self._held.remove(found)
-        self._held.append(found)
+        self._targets.remove(found)
+        self._targets.append(found)
         return found.framebuffer
 
     def clear(self) -> None:
         """Invalidate all cached contents. The framebuffers stay for reuse."""
-        for each in self._held:
+        for each in self._targets:
             each.content = None
 
-    def clear_of(self, owner: object) -> None:
+    def evict_owned_by(self, owner: object) -> None:
         """Invalidate all cached contents, of any owner. Other scenes redraw theirs once."""
         self.clear()
 
-    def _make_room(self, shape: tuple[int, int, int], spare: list[_Target]) -> None:
+    def _make_room(self, shape: tuple[int, int, int], evictable: list[_Target]) -> None:
         """Evict the given targets, in their order, until another one of a shape fits."""
-        for each in spare:
+        for each in evictable:
             if self._has_room(shape):
                 return
-            self._held.remove(each)
+            self._targets.remove(each)
             self._release(each.framebuffer)
 
     def _has_room(self, shape: tuple[int, int, int]) -> bool:

@@ -27,7 +27,7 @@ from skugga.terrain.cache import KIB, MIB, Cache, Missing  # noqa: E402
 from skugga.terrain.errors import GraphicsError, NoOpenGLError  # noqa: E402
 from skugga.terrain.gl.depth_targets import DepthTargets  # noqa: E402
 from skugga.terrain.gl.egl_devices import LIBEGL, NO_OPENGL, open_context  # noqa: E402
-from skugga.terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
+from skugga.terrain.gl.programs import describe_program, record_draw, specialize_shader  # noqa: E402
 from skugga.terrain.gl.shader_cache import safe_shader_cache  # noqa: E402
 from skugga.terrain.gl.stencil import Stencil  # noqa: E402
 
@@ -60,16 +60,16 @@ class Device:
             "skugga.terrain.gl.device.programs", "process", 64 * MIB, lambda program: PROGRAM_BYTES, moderngl.Program.release
         )
         self.depth_targets = DepthTargets(
-            self._made_depth_target, lambda target: self._release_target(target, target.depth_attachment)
+            self._make_depth_target, lambda target: self._release_target(target, target.depth_attachment)
         )
         self._float_target: moderngl.Framebuffer | None = None
         self._visible_targets: list[moderngl.Framebuffer] = []  # least recently used first
-        self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._parking.use())
-        self._lent: dict[np.dtype[Any], np.ndarray] = {}  # read-back memory by texel dtype
+        self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._idle_target.use())
+        self._read_memory: dict[np.dtype[Any], np.ndarray] = {}  # read-back memory by texel dtype
         self._layers: Cache[moderngl.TextureArray] = Cache(
             "skugga.terrain.gl.device.layers", "process", 256 * MIB, _layers_bytes, moderngl.TextureArray.release
         )
-        self._parking = self.ctx.framebuffer([self.ctx.renderbuffer((1, 1))])
+        self._idle_target = self.ctx.framebuffer([self.ctx.renderbuffer((1, 1))])
         self._quad = self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], "f4"))
 
     def require_current(self) -> None:
@@ -97,13 +97,13 @@ class Device:
         key = (vertex, fragment, tuple((constants or {}).items()))
         program = self._programs.get(*key)
         if isinstance(program, Missing):
-            text, made = with_constants(fragment, constants or {})
+            text, made = specialize_shader(fragment, constants or {})
             try:
                 program = self.ctx.program(vertex_shader=vertex, fragment_shader=text)
             except moderngl.Error as error:
                 _ = self.ctx.error  # clear the error of the failed program: it is reported here
                 raise GraphicsError(f"OpenGL: a shader does not compile: {' '.join(str(error).split())}") from None
-            program.extra = linked(program, (vertex, fragment), made)
+            program.extra = describe_program(program, (vertex, fragment), made)
             self._programs.put(*key, value=program)
         return program
 
@@ -128,9 +128,9 @@ class Device:
         ``depth_targets.keep`` caches it.
         """
         self.require_current()
-        return self.depth_targets.take(width, height, bits)
+        return self.depth_targets.acquire(width, height, bits)
 
-    def _made_depth_target(self, width: int, height: int, bits: int) -> moderngl.Framebuffer:
+    def _make_depth_target(self, width: int, height: int, bits: int) -> moderngl.Framebuffer:
         target = self.ctx.framebuffer(depth_attachment=self._depth_texture(width, height, bits))
         self.check("depth_target")
         return target
@@ -176,7 +176,7 @@ class Device:
             self.ctx.enable_only(moderngl.NOTHING)
 
     @contextmanager
-    def front_culled(self, clockwise: bool) -> Iterator[None]:
+    def cull_front_faces(self, clockwise: bool) -> Iterator[None]:
         """Cull front faces, which wind counter-clockwise in the picture, or ``clockwise``."""
         self.require_current()
         self.ctx.front_face, self.ctx.cull_face = "cw" if clockwise else "ccw", "front"
@@ -269,7 +269,7 @@ class Device:
         ``vertices``, ``first`` and ``instances`` are those of ``moderngl.VertexArray.render``.
         """
         array.render(mode, vertices, first=first, instances=instances)
-        note_draw(array.program.extra)
+        record_draw(array.program.extra)
 
     def draw_triangles(self, program: moderngl.Program, vertices: np.ndarray, triangles: np.ndarray, first: int = 0) -> int:
         """Draw indexed triangles of vertices (n, k) float32 (attribute ``position``) and return their number.
@@ -281,12 +281,12 @@ class Device:
             return 0
         if "first" in program:
             program["first"] = first
-        with self.uploaded(program, vertices, triangles) as array:
+        with self.uploaded_mesh(program, vertices, triangles) as array:
             self.render(array)
         return len(triangles)
 
     @contextmanager
-    def uploaded(self, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray) -> Iterator[moderngl.VertexArray]:
+    def uploaded_mesh(self, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray) -> Iterator[moderngl.VertexArray]:
         """Upload vertices (n, k) float32 (attribute ``position``) and indices, for any number of ``render`` calls."""
         self.require_current()
         arrays = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(indices, np.int32)
@@ -346,12 +346,12 @@ class Device:
         kind: str = "f4",
         components: int = 1,
         size: tuple[int, int] | None = None,
-        lent: bool = False,
+        reuse_memory: bool = False,
     ) -> np.ndarray:
         """Read an attachment (-1: the depth) as an array (rows, cols) or (rows, cols, components). Row 0 is the first texel row.
 
         ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for integer 16-bit depths. ``size`` (width,
-        height) limits the read to the first texels. With ``lent`` the array is the device's own memory, valid until the next such
+        height) limits the read to the first texels. With ``reuse_memory`` the array is the device's own memory, valid until the next such
         read: allocating memory for a large map costs more than reading it.
 
         Raises ``GraphicsError`` if the context is not current, so that a mistake never returns stale memory.
@@ -360,23 +360,23 @@ class Device:
         width, height = size or target.size
         shape = (height, width) if components == 1 else (height, width, components)
         texel = np.dtype({"f4": np.float32, "u4": np.uint32, "f1": np.uint8, "u2": np.uint16}[kind])
-        out = self._memory_lent(texel, shape) if lent else np.zeros(shape, texel)
+        out = self._reused_memory(texel, shape) if reuse_memory else np.zeros(shape, texel)
         window = 0, 0, width, height
         target.read_into(out, window, components=components, attachment=attachment, dtype=kind, alignment=out.itemsize)
         self.check("read")
         return out
 
-    def _memory_lent(self, texel: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarray:
+    def _reused_memory(self, texel: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarray:
         """Return zeroed memory of a shape, reused between reads of one dtype."""
         count = int(np.prod(shape))
-        memory = self._lent.get(texel)
+        memory = self._read_memory.get(texel)
         if memory is None or memory.size < count:
-            memory = self._lent[texel] = np.empty(count, texel)
+            memory = self._read_memory[texel] = np.empty(count, texel)
         memory[:count] = 0
         return memory[:count].reshape(shape)
 
     def _release_target(self, target: moderngl.Framebuffer, *textures: moderngl.Texture | moderngl.Renderbuffer) -> None:
-        self._parking.use()  # moderngl rebinds the current framebuffer, even a released one
+        self._idle_target.use()  # moderngl rebinds the current framebuffer, even a released one
         target.release()
         for texture in textures:
             texture.release()
@@ -389,7 +389,7 @@ def _layers_bytes(texture: moderngl.TextureArray) -> int:
 
 
 _device: Device | None = None
-_missing: NoOpenGLError | None = None
+_no_opengl: NoOpenGLError | None = None
 
 
 def device() -> Device:
@@ -399,15 +399,15 @@ def device() -> Device:
     are rendered alike. Raises ``InputError`` and ``GraphicsError`` for a device that the setting names wrongly or that gives no
     context (``skugga.terrain.gl.egl_devices``).
     """
-    global _device, _missing
-    if _missing is not None:
-        raise NoOpenGLError(str(_missing))
+    global _device, _no_opengl
+    if _no_opengl is not None:
+        raise NoOpenGLError(str(_no_opengl))
     if _device is None:
         try:
             with safe_shader_cache():
                 _device = Device()
         except NoOpenGLError as error:
-            _missing = error
+            _no_opengl = error
             raise
     return _device
 

@@ -39,7 +39,7 @@ PROBE_LIMIT_S = 60.0
 """Timeout of a device probe."""
 
 _EXTENSIONS, _DRM_DEVICE_FILE, _RENDERER = 0x3055, 0x3233, 0x335F
-_IGNORED = "GLCONTEXT_DEVICE_INDEX"
+_GLCONTEXT_VARIABLE = "GLCONTEXT_DEVICE_INDEX"
 
 log = logging.getLogger("skugga")
 
@@ -77,13 +77,13 @@ class ProbedDevice:
 
 DeviceProbe = Callable[[int], ProbedDevice]
 
-_turn = 0
+_process_number = 0
 
 
-def take_turn(number: int) -> None:
+def set_process_number(number: int) -> None:
     """Set the number of this process among those that share the devices. Call it before the device is created."""
-    global _turn
-    _turn = number
+    global _process_number
+    _process_number = number
 
 
 def egl_devices() -> tuple[EglDevice, ...]:
@@ -91,16 +91,16 @@ def egl_devices() -> tuple[EglDevice, ...]:
     try:
         egl = ctypes.CDLL(LIBEGL)
     except OSError as error:
-        raise no_context(str(error)) from None
+        raise no_opengl_error(str(error)) from None
     egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
     query_devices = _function(egl, b"eglQueryDevicesEXT", ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
     query_string = _function(egl, b"eglQueryDeviceStringEXT", ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int)
     count = ctypes.c_int()
     if query_devices is None or not query_devices(0, None, ctypes.byref(count)):
-        raise no_context("EGL cannot list devices without EGL_EXT_device_enumeration")
+        raise no_opengl_error("EGL cannot list devices without EGL_EXT_device_enumeration")
     handles = (ctypes.c_void_p * max(count.value, 1))()
     if not query_devices(count, handles, ctypes.byref(count)) or not count.value:
-        raise no_context("EGL finds no driver")
+        raise no_opengl_error("EGL finds no driver")
 
     def text(handle: int | None, what: int) -> str:
         found = None if query_string is None else query_string(handle, what)
@@ -120,7 +120,7 @@ def _function(egl: ctypes.CDLL, name: bytes, result: Any, *arguments: Any) -> Ca
     return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
 
 
-def no_context(why: str) -> NoOpenGLError:
+def no_opengl_error(why: str) -> NoOpenGLError:
     """Return the error of a machine without OpenGL."""
     return NoOpenGLError(
         f"OpenGL: no OpenGL 4.3 context through EGL ({why}). Without it only terrain without objects can be drawn, under the sun. "
@@ -139,10 +139,10 @@ def read_setting(value: str) -> str | tuple[int, ...]:
     return tuple(map(int, parts))
 
 
-def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: DeviceProbe) -> list[EglDevice]:
+def devices_to_try(value: str, devices: Sequence[EglDevice], process_number: int, probe: DeviceProbe) -> list[EglDevice]:
     """Return the devices that a process tries in order, until one creates a context.
 
-    - ``auto`` prefers graphics cards. Processes are distributed (round robin by ``turn``) over the cards that have the same
+    - ``auto`` prefers graphics cards. Processes are distributed (round robin by ``process_number``) over the cards that have the same
       renderer and version as the first working one: pictures of different drivers differ, and a service has one calibration.
     - ``software`` means Mesa's software rasteriser.
     - Device numbers are distributed round robin in the order of the setting; each process tries one device only.
@@ -153,7 +153,7 @@ def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: D
         The setting.
     devices
         EGL's device list.
-    turn
+    process_number
         The number of this process.
     probe
         Function that probes a device by its number.
@@ -165,43 +165,43 @@ def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: D
     GraphicsError
         If devices named together differ in renderer or version.
     """
-    asked = read_setting(value)
-    if asked == AUTO_DEVICE:
+    setting = read_setting(value)
+    if setting == AUTO_DEVICE:
         cards = [device for device in devices if not device.software]
-        return [*_in_turn(cards, turn, probe), *(device for device in devices if device.software)]
-    if asked == SOFTWARE_DEVICE:
+        return [*_round_robin(cards, process_number, probe), *(device for device in devices if device.software)]
+    if setting == SOFTWARE_DEVICE:
         found = [device for device in devices if device.software]
         if not found:
-            raise _no_such_device(value, devices)
+            raise _no_such_device_error(value, devices)
         return found
-    assert not isinstance(asked, str)
-    if max(asked) >= len(devices):
-        raise _no_such_device(value, devices)
-    taken = asked[turn % len(asked)]
-    if taken != asked[0]:
-        first, own = probe(asked[0]), probe(taken)
-        if not first.fault and not own.fault and first != own:
+    assert not isinstance(setting, str)
+    if max(setting) >= len(devices):
+        raise _no_such_device_error(value, devices)
+    chosen = setting[process_number % len(setting)]
+    if chosen != setting[0]:
+        first, chosen_kind = probe(setting[0]), probe(chosen)
+        if not first.fault and not chosen_kind.fault and first != chosen_kind:
             raise GraphicsError(
-                f"{EGL_DEVICE}: '{value}' names devices of two kinds, which draw different pictures: {asked[0]} is "
-                f"{first.renderer}, {first.version}; {taken} is {own.renderer}, {own.version}. Name devices of one kind."
+                f"{EGL_DEVICE}: '{value}' names devices of two kinds, which draw different pictures: {setting[0]} is "
+                f"{first.renderer}, {first.version}; {chosen} is {chosen_kind.renderer}, {chosen_kind.version}. Name devices of one kind."
             )
-    return [devices[taken]]
+    return [devices[chosen]]
 
 
-def _in_turn(cards: list[EglDevice], turn: int, probe: DeviceProbe) -> list[EglDevice]:
-    """Return the graphics cards in the order in which the process with number ``turn`` tries them."""
-    if not turn or len(cards) < 2:
+def _round_robin(cards: list[EglDevice], process_number: int, probe: DeviceProbe) -> list[EglDevice]:
+    """Return the graphics cards in the order in which the process with number ``process_number`` tries them."""
+    if not process_number or len(cards) < 2:
         return cards
     kinds = {card: probe(card.index) for card in cards}
     drawing = [card for card in cards if not kinds[card].fault]
     equal = [card for card in drawing if kinds[card] == kinds[drawing[0]]]
-    return equal[turn % len(equal) :] + equal[: turn % len(equal)] if equal else []
+    return equal[process_number % len(equal) :] + equal[: process_number % len(equal)] if equal else []
 
 
-def _no_such_device(value: str, devices: Sequence[EglDevice]) -> InputError:
-    there = ", ".join(map(str, devices))
+def _no_such_device_error(value: str, devices: Sequence[EglDevice]) -> InputError:
+    listing = ", ".join(map(str, devices))
     return InputError(
-        EGL_DEVICE, Problem(f"'{value}' names a device that does not exist"), f"Allowed: {EGL_DEVICE_VALUES}. Devices: {there}"
+        EGL_DEVICE, Problem(f"'{value}' names a device that does not exist"), f"Allowed: {EGL_DEVICE_VALUES}. Devices: {listing}"
     )
 
 
@@ -218,9 +218,9 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
         If the setting is wrong.
     """
     value = os.environ.get(EGL_DEVICE, AUTO_DEVICE)
-    asked, devices = read_setting(value), egl_devices()
+    setting, devices = read_setting(value), egl_devices()
     faults = []
-    for device in devices_to_try(value, devices, _turn, probed_device):
+    for device in devices_to_try(value, devices, _process_number, probed_device):
         try:
             context = context_of(device.index)
         except Exception as error:  # glcontext raises bare exceptions of several kinds
@@ -229,11 +229,11 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
         if faults:
             log.warning("EGL: %s. Device %s is used instead.", "; ".join(faults), device)
         return context, device
-    if asked != AUTO_DEVICE:
+    if setting != AUTO_DEVICE:
         raise GraphicsError(
             f"{EGL_DEVICE}: '{value}' gives no OpenGL 4.3 context: {'; '.join(faults)}. Name another device, or use {AUTO_DEVICE}."
         )
-    raise no_context("; ".join(faults))
+    raise no_opengl_error("; ".join(faults))
 
 
 def context_of(index: int) -> moderngl.Context:
@@ -241,12 +241,12 @@ def context_of(index: int) -> moderngl.Context:
     import moderngl
 
     settings: dict[str, Any] = {"backend": "egl", "libgl": LIBGL, "libegl": LIBEGL, "device_index": index}
-    with _unset(_IGNORED):  # glcontext prefers this variable to its argument; Skugga has one setting
+    with _set_nan(_GLCONTEXT_VARIABLE):  # glcontext prefers this variable to its argument; Skugga has one setting
         return moderngl.create_context(standalone=True, require=OPENGL_VERSION, **settings)
 
 
 @contextmanager
-def _unset(variable: str) -> Iterator[None]:
+def _set_nan(variable: str) -> Iterator[None]:
     value = os.environ.pop(variable, None)
     try:
         yield

@@ -25,7 +25,7 @@ _SAMPLER_TYPES = frozenset(
 
 
 @dataclass(frozen=True, eq=False)
-class Linked:
+class LinkedProgram:
     """Description of a linked program.
 
     Attributes
@@ -41,13 +41,13 @@ class Linked:
     textures: tuple[str, ...]
 
 
-_RECORDS: ContextVar[tuple[list[Linked], ...]] = ContextVar("records", default=())
+_RECORDS: ContextVar[tuple[list[LinkedProgram], ...]] = ContextVar("records", default=())
 
 
 @contextmanager
-def recorded() -> Iterator[list[Linked]]:
+def record_draw_calls() -> Iterator[list[LinkedProgram]]:
     """Collect the programs of all draw calls made in the context, one for each call, in order. Contexts may be nested."""
-    calls: list[Linked] = []
+    calls: list[LinkedProgram] = []
     token = _RECORDS.set((*_RECORDS.get(), calls))
     try:
         yield calls
@@ -55,7 +55,7 @@ def recorded() -> Iterator[list[Linked]]:
         _RECORDS.reset(token)
 
 
-def note_draw(program: Linked) -> None:
+def record_draw(program: LinkedProgram) -> None:
     """Add a draw call to all open records."""
     for calls in _RECORDS.get():
         calls.append(program)
@@ -66,7 +66,7 @@ def join_shader_parts(parts: Mapping[str, str]) -> str:
     return "#version 430\n" + "".join(f"{_PART}{name}\n{text}" for name, text in parts.items())
 
 
-def with_constants(fragment: str, constants: Mapping[str, bool | int]) -> tuple[str, list[str]]:
+def specialize_shader(fragment: str, constants: Mapping[str, bool | int]) -> tuple[str, list[str]]:
     """Return a shader's source with uniforms replaced by constants, and the replaced ones (``taps=3``).
 
     Constants whose uniform the shader lacks are ignored.
@@ -80,7 +80,7 @@ def with_constants(fragment: str, constants: Mapping[str, bool | int]) -> tuple[
     return fragment, made
 
 
-def linked(program: moderngl.Program, texts: tuple[str, str], constants: list[str]) -> Linked:
+def describe_program(program: moderngl.Program, texts: tuple[str, str], constants: list[str]) -> LinkedProgram:
     """Return the description of a linked program. Its textures are the samplers that the linker left active."""
     import moderngl
 
@@ -92,4 +92,4 @@ def linked(program: moderngl.Program, texts: tuple[str, str], constants: list[st
         for name, uniform in uniforms.items()
         if uniform.gl_type in _SAMPLER_TYPES  # type: ignore[attr-defined]  # the stubs lack it
     ]
-    return Linked(" ".join([*parts, *constants]) or "unnamed", tuple(sorted(textures)))
+    return LinkedProgram(" ".join([*parts, *constants]) or "unnamed", tuple(sorted(textures)))

@@ -13,12 +13,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from skugga.terrain.whole_files import disk_error
+from skugga.terrain.atomic_files import disk_error
 
-DISABLE = "MESA_SHADER_CACHE_DISABLE"
+DISABLE_VARIABLE = "MESA_SHADER_CACHE_DISABLE"
 """Environment variable that disables Mesa's shader cache."""
 
-NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+DISK_FULL_ERRNOS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 log = logging.getLogger("skugga")
 
@@ -28,7 +28,7 @@ def safe_shader_cache() -> Iterator[None]:
     """Guard the creation of an OpenGL context: allocate the blocks of Mesa's cache index, or disable the cache on a full disk."""
     index = _index()
     if not _has_room(index):
-        os.environ[DISABLE] = "true"
+        os.environ[DISABLE_VARIABLE] = "true"
         log.warning("%s: the disk is full. Compiled shaders are not cached.", index.parent)
     yield
     with suppress(OSError):  # Mesa may have created the index just now
@@ -47,10 +47,10 @@ def _has_room(index: Path) -> bool:
         return True
     except FileNotFoundError:
         folder = next(parent for parent in index.parents if parent.is_dir())
-        refused: OSError | None = disk_error(folder / index.name, 2 * 2**20)
+        disk_failure: OSError | None = disk_error(folder / index.name, 2 * 2**20)
     except OSError as error:
-        refused = error
-    return refused is None or refused.errno not in NO_ROOM  # Mesa handles a folder without write permission
+        disk_failure = error
+    return disk_failure is None or disk_failure.errno not in DISK_FULL_ERRNOS  # Mesa handles a folder without write permission
 
 
 def _fill_holes(index: Path) -> None:

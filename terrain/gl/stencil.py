@@ -55,20 +55,24 @@ class Stencil:
         The device's context.
     require_current, check
         The device's methods of these names.
-    park
+    bind_idle_target
         Function that binds another framebuffer, before the current one is released.
     """
 
     def __init__(
-        self, ctx: moderngl.Context, require_current: Callable[[], None], check: Callable[[str], None], park: Callable[[], None]
+        self,
+        ctx: moderngl.Context,
+        require_current: Callable[[], None],
+        check: Callable[[str], None],
+        bind_idle_target: Callable[[], None],
     ) -> None:
-        self._ctx, self._require_current, self._check, self._park = ctx, require_current, check, park
+        self._ctx, self._require_current, self._check, self._bind_idle_target = ctx, require_current, check, bind_idle_target
         self._targets: Cache[tuple[moderngl.Framebuffer, int]] = Cache(
             "skugga.terrain.gl.stencil",
             "process",
             STENCIL_CACHE_BYTES,
             lambda held: PIXEL_BYTES * held[0].width * held[0].height,
-            self._let_go,
+            self._release_target,
         )
 
     def target(self, width: int, height: int) -> moderngl.Framebuffer:
@@ -95,11 +99,11 @@ class Stencil:
         GL.glClearBufferfi(GL.GL_DEPTH_STENCIL, 0, 0.0, 0)
         return target
 
-    def _let_go(self, held: tuple[moderngl.Framebuffer, int]) -> None:
+    def _release_target(self, held: tuple[moderngl.Framebuffer, int]) -> None:
         from OpenGL import GL
 
         old, storage = held
-        self._park()  # moderngl rebinds the current framebuffer, even a released one
+        self._bind_idle_target()  # moderngl rebinds the current framebuffer, even a released one
         for item in (old, *old.color_attachments):
             item.release()
         GL.glDeleteRenderbuffers(1, [storage])
@@ -121,7 +125,7 @@ class Stencil:
         Further fragments of a pixel do not increment it again. ``clip_distances`` is the number of clip distances that the vertex
         shaders write.
         """
-        with self._testing(target, depth=False):
+        with self._stencil_test(target, depth=False):
             from OpenGL import GL
 
             GL.glStencilFunc(GL.GL_EQUAL, held, 0xFF)
@@ -137,7 +141,7 @@ class Stencil:
     @contextmanager
     def mark_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
         """Set the state of a pass that marks all drawn pixels, without depth test."""
-        with self._testing(target, depth=False):
+        with self._stencil_test(target, depth=False):
             from OpenGL import GL
 
             GL.glStencilFunc(GL.GL_ALWAYS, MARK_BIT, 0xFF)
@@ -169,7 +173,7 @@ class Stencil:
         side: Side = "both",
         marked: bool = False,
         clamped: bool = False,
-        away_steps: float = 0.0,
+        offset_steps: float = 0.0,
     ) -> Iterator[None]:
         """Set the state of a pass that counts faces against the depths in the framebuffer, without writing depths.
 
@@ -187,10 +191,10 @@ class Stencil:
             Whether only marked pixels count.
         clamped
             Whether to clamp depths instead of clipping at the near and far planes.
-        away_steps
+        offset_steps
             Depth offset away from the eye in float32 depth steps, besides ``GRID_STEPS``.
         """
-        with self._testing(target, depth=True):
+        with self._stencil_test(target, depth=True):
             from OpenGL import GL
 
             target.depth_mask = False
@@ -208,7 +212,7 @@ class Stencil:
             else:
                 GL.glStencilOp(keep, keep, GL.GL_INCR if counting == "faces" else GL.GL_REPLACE)
                 self._ctx.depth_func = ">="
-            self._ctx.polygon_offset = -GRID_STEPS / 256.0, -away_steps
+            self._ctx.polygon_offset = -GRID_STEPS / 256.0, -offset_steps
             self._ctx.front_face = "cw"
             if side != "both":
                 self._ctx.cull_face = "back" if side == "front" else "front"
@@ -241,7 +245,7 @@ class Stencil:
         return out
 
     @contextmanager
-    def _testing(self, target: moderngl.Framebuffer, depth: bool) -> Iterator[None]:
+    def _stencil_test(self, target: moderngl.Framebuffer, depth: bool) -> Iterator[None]:
         from OpenGL import GL
 
         self._require_current()

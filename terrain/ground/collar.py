@@ -45,7 +45,7 @@ RIM_WINDOWS = 64
 BORDER_CELLS = 32
 """Depth in cells of the full-resolution strips along the border: the overview does not show a thin collar."""
 
-BORDER_PLACES = 4096
+BORDER_SAMPLES = 4096
 """Maximum number of samples along a strip."""
 
 _CANDIDATES = 2
@@ -81,26 +81,26 @@ class Collar:
 
 
 @dataclass(frozen=True, eq=False)
-class _Cells:
+class _StoredCells:
     """Cells as stored in the file.
 
     Attributes
     ----------
     values
         Stored values (rows, cols).
-    known
+    has_height
         bool (rows, cols): whether a cell holds a height.
     ends
         Whether the raster ends at the top, bottom, left and right side.
     """
 
     values: np.ndarray
-    known: np.ndarray
+    has_height: np.ndarray
     ends: tuple[bool, bool, bool, bool] = (True, True, True, True)
 
-    def border(self, of: np.ndarray) -> np.ndarray:
+    def border(self, array: np.ndarray) -> np.ndarray:
         """Return an array's cells (n,) at the sides where the raster ends."""
-        sides = of[0], of[-1], of[:, 0], of[:, -1]
+        sides = array[0], array[-1], array[:, 0], array[:, -1]
         return np.concatenate([side for side, end in zip(sides, self.ends, strict=True) if end])
 
 
@@ -123,45 +123,45 @@ class _Region:
     border_share: float
 
 
-def collar_of(elevation: Elevation) -> Collar | None:
+def detect_collar(elevation: Elevation) -> Collar | None:
     """Return the collar that a raster appears to have, or ``None``.
 
     Reads the cells at the overview's resolution, and the border and the rim at full resolution.
     """
     factor = 2**elevation.overview.level
     shape = max(elevation.rows // factor, 1), max(elevation.cols // factor, 1)
-    whole = slice(0, elevation.rows), slice(0, elevation.cols)
-    seen = _Cells(*elevation.stored(*whole, shape))
-    unit_m = elevation.metres_per_count
-    for value, region in _candidates(seen):
-        across, behind = _steps(seen.values, region.cells, region.ground, value)
+    all_cells = slice(0, elevation.rows), slice(0, elevation.cols)
+    coarse = _StoredCells(*elevation.stored(*all_cells, shape))
+    unit_m = elevation.metres_per_stored_unit
+    for value, region in _candidates(coarse):
+        across, behind = _steps(coarse.values, region.cells, region.ground, value)
         if factor > 1:
             across, behind = _steps_at_full_detail(elevation, region, value, factor)
-        if found := _judged(seen, region, value, across * abs(unit_m), behind * abs(unit_m), unit_m):
-            return found
+        if collar := _collar_from_steps(coarse, region, value, across * abs(unit_m), behind * abs(unit_m), unit_m):
+            return collar
     if factor == 1:
         return None
     for strip in _strips(elevation):
         for value, region in _candidates(strip):
             across, behind = _steps(strip.values, region.cells, region.ground, value)
-            if found := _judged(strip, region, value, across * abs(unit_m), behind * abs(unit_m), unit_m):
-                return found
+            if collar := _collar_from_steps(strip, region, value, across * abs(unit_m), behind * abs(unit_m), unit_m):
+                return collar
     return None
 
 
-def _candidates(seen: _Cells) -> Iterator[tuple[np.generic, _Region]]:
+def _candidates(cells_read: _StoredCells) -> Iterator[tuple[np.generic, _Region]]:
     """Yield the most common values of the border, each with its cells that are connected to the border."""
-    border = seen.border(seen.values)[seen.border(seen.known)]
+    border = cells_read.border(cells_read.values)[cells_read.border(cells_read.has_height)]
     values, count = np.unique(border, return_counts=True)
     for index in np.argsort(count)[::-1][:_CANDIDATES]:
-        if count[index] < BORDER_SHARE * max(len(seen.border(seen.known)), 1):
+        if count[index] < BORDER_SHARE * max(len(cells_read.border(cells_read.has_height)), 1):
             return
         from scipy.ndimage import label  # here: the import takes 0.25 s, and most rasters have no candidate
 
-        parts, _ = label(seen.known & (seen.values == values[index]), _EIGHT)
-        at_border = seen.border(parts)
+        parts, _ = label(cells_read.has_height & (cells_read.values == values[index]), _EIGHT)
+        at_border = cells_read.border(parts)
         cells = np.isin(parts, np.unique(at_border[at_border > 0]))
-        pieces, number = label(seen.known & ~cells)
+        pieces, number = label(cells_read.has_height & ~cells)
         if number == 0:
             continue
         sizes = np.bincount(pieces.ravel())[1:]
@@ -170,13 +170,13 @@ def _candidates(seen: _Cells) -> Iterator[tuple[np.generic, _Region]]:
             yield values[index], _Region(cells, ground, float((at_border > 0).mean()))
 
 
-def _judged(
-    seen: _Cells, region: _Region, value: np.generic, across_m: np.ndarray, behind_m: np.ndarray, unit_m: float
+def _collar_from_steps(
+    cells_read: _StoredCells, region: _Region, value: np.generic, across_m: np.ndarray, behind_m: np.ndarray, unit_m: float
 ) -> Collar | None:
     """Return the collar if the steps (n,) across a region's rim and behind it are those of a collar, else ``None``."""
     if len(across_m) < LEAST_RIM:
         return None
-    above_m = (seen.values[region.ground].astype(np.float64) - float(value)) * unit_m
+    above_m = (cells_read.values[region.ground].astype(np.float64) - float(value)) * unit_m
     below = bool(np.mean(above_m < 0.0) <= BEYOND_SHARE)
     if not below and (np.mean(above_m > 0.0) > BEYOND_SHARE or region.border_share < HIGH_BORDER_SHARE):
         return None
@@ -211,30 +211,30 @@ def _steps_at_full_detail(elevation: Elevation, region: _Region, value: np.gener
     for axis in (0, 1):
         for step in (1, -1):
             beside |= np.roll(region.ground, step, axis)
-    found = np.argwhere(region.cells & beside)
+    rim_cells = np.argwhere(region.cells & beside)
     across, behind = [np.empty(0)], [np.empty(0)]
-    for row, col in found[:: max(len(found) // RIM_WINDOWS, 1)]:
+    for row, col in rim_cells[:: max(len(rim_cells) // RIM_WINDOWS, 1)]:
         window = (
             slice(max(int(row) - 1, 0) * factor, min((int(row) + 2) * factor, elevation.rows)),
             slice(max(int(col) - 1, 0) * factor, min((int(col) + 2) * factor, elevation.cols)),
         )
-        values, known = elevation.stored(*window)
-        cells = known & (values == value)
-        steps = _steps(values, cells, known & ~cells, value)
+        values, has_height = elevation.stored(*window)
+        cells = has_height & (values == value)
+        steps = _steps(values, cells, has_height & ~cells, value)
         across.append(steps[0])
         behind.append(steps[1])
     return np.concatenate(across), np.concatenate(behind)
 
 
-def _strips(elevation: Elevation) -> Iterator[_Cells]:
+def _strips(elevation: Elevation) -> Iterator[_StoredCells]:
     """Yield the cells along the four sides, at full resolution across the strip."""
     rows, cols = elevation.shape
     deep, wide = min(BORDER_CELLS, rows), min(BORDER_CELLS, cols)
-    along_row, along_col = min(cols, BORDER_PLACES), min(rows, BORDER_PLACES)
+    along_row, along_col = min(cols, BORDER_SAMPLES), min(rows, BORDER_SAMPLES)
     for ends, row, col, shape in (
         ((True, False, False, False), slice(0, deep), slice(0, cols), (deep, along_row)),
         ((False, True, False, False), slice(rows - deep, rows), slice(0, cols), (deep, along_row)),
         ((False, False, True, False), slice(0, rows), slice(0, wide), (along_col, wide)),
         ((False, False, False, True), slice(0, rows), slice(cols - wide, cols), (along_col, wide)),
     ):
-        yield _Cells(*elevation.stored(row, col, shape), ends)
+        yield _StoredCells(*elevation.stored(row, col, shape), ends)

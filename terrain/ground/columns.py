@@ -24,7 +24,7 @@ from skugga.terrain.geo.grid import Grid
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.cells import highest_cell
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.sheet import Sheet, cuts_of, sheet_triangles
+from skugga.terrain.ground.sheet import Sheet, diagonal_cuts, sheet_triangles
 from skugga.terrain.ground.surface import Surface, cubic_weights, interpolated
 
 MAX_WINDOW_CELLS = 2**26
@@ -32,7 +32,7 @@ MAX_WINDOW_CELLS = 2**26
 
 
 @dataclass(frozen=True, eq=False)
-class ColumnSheet(Sheet):
+class ColumnMesh(Sheet):
     """The mesh of columns.
 
     Its nodes (2 rows, 2 cols) are the north-west, north-east, south-west and south-east corner of each cell.
@@ -88,12 +88,12 @@ class ColumnWindow:
         return rows, cols
 
     @cached_property
-    def sheet(self) -> ColumnSheet:
+    def sheet(self) -> ColumnMesh:
         """The mesh of the columns' tops and walls."""
         rows, cols = self.height_m.shape
         ground = self.columns.corners(self.row0, self.col0, rows, cols, self.frame)
         doubled = np.repeat(np.repeat(self.height_m, 2, axis=0), 2, axis=1)
-        return ColumnSheet(_corners(ground, self.height_m), cuts_of(doubled), self.height_m)
+        return ColumnMesh(_corners(ground, self.height_m), diagonal_cuts(doubled), self.height_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ class Columns:
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedOnColumns:
+class ColumnIndices:
     """The columns under positions (rows, cols).
 
     Attributes
@@ -169,7 +169,7 @@ class PlacedOnColumns:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenFromAbove:
+class ColumnTops:
     """Tops of the columns under positions (rows, cols).
 
     Attributes
@@ -190,7 +190,7 @@ class SeenFromAbove:
     up_frame: np.ndarray
 
 
-def columns_under(surface: Surface, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> tuple[PlacedOnColumns, SeenFromAbove]:
+def find_columns(surface: Surface, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> tuple[ColumnIndices, ColumnTops]:
     """Return the columns under positions at rows (n,) and columns (m,) of a surface's grid.
 
     The cells are those of the level that the surface itself would show. Raises ``UnsupportedError`` where the map distorts the
@@ -206,19 +206,19 @@ def columns_under(surface: Surface, row: np.ndarray, col: np.ndarray, frame: Loc
         exact_row, exact_col, x, y = surface.exact_nodes(row0, col0, *shape, stride)
         cell = surface.cells_of(x, y, everywhere=True)
         assert cell is not None
-    placed = _placed(np.stack(cell, axis=-1), exact_row, exact_col, stride, row, col)
+    placed = _interpolate_at(np.stack(cell, axis=-1), exact_row, exact_col, stride, row, col)
     columns = Columns(surface.world, surface.elevation, surface.level)
     cell_row, cell_col = ((placed[..., k] + 0.5) / 2**columns.level - 0.5 for k in (0, 1))
-    window = _window_round(columns, cell_row, cell_col, frame)
+    window = _enclosing_window(columns, cell_row, cell_col, frame)
     rows, cols = window.height_m.shape
-    middles = columns.ground(columns.grid, window.row0, window.col0, rows, cols, frame)
-    cell_row, cell_col, there, position, height, up = _tops(
-        window.height_m, window.there, middles, cell_row - window.row0, cell_col - window.col0
+    centres = columns.ground(columns.grid, window.row0, window.col0, rows, cols, frame)
+    cell_row, cell_col, there, position, height, up = _find_tops(
+        window.height_m, window.there, centres, cell_row - window.row0, cell_col - window.col0
     )
-    return PlacedOnColumns(window, cell_row, cell_col), SeenFromAbove(there, position, height, up)
+    return ColumnIndices(window, cell_row, cell_col), ColumnTops(there, position, height, up)
 
 
-def _window_round(columns: Columns, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> ColumnWindow:
+def _enclosing_window(columns: Columns, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> ColumnWindow:
     """Return the window that contains all positions, with a rim of one cell, clipped to the raster."""
     known = np.isfinite(row) & np.isfinite(col)
     ends = []
@@ -235,7 +235,7 @@ def _window_round(columns: Columns, row: np.ndarray, col: np.ndarray, frame: Loc
 
 
 @compiled
-def _placed(exact, first_row, first_col, stride, row, col):
+def _interpolate_at(exact, first_row, first_col, stride, row, col):
     """Interpolate as ``skugga.terrain.ground.surface.interpolated`` does, at fractional rows and columns: float64 (n, m, k)."""
     kinds = exact.shape[2]
     out = np.empty((row.size, col.size, kinds))
@@ -263,7 +263,7 @@ def _placed(exact, first_row, first_col, stride, row, col):
 
 
 @compiled
-def _tops(height, shown, middles, row, col):
+def _find_tops(height, valid, centres, row, col):
     """Look up the columns at positions (n, m) of a window.
 
     Returns row and column of each cell (-1 where it has none), the valid mask, the centre of its top, its height and its up vector.
@@ -276,14 +276,14 @@ def _tops(height, shown, middles, row, col):
     for i in range(row.shape[0]):
         for j in range(row.shape[1]):
             r, c = highest_cell(height, row[i, j], col[i, j])
-            if r < 0 or not shown[r, c] or not np.isfinite(middles[r, c, 0]):
+            if r < 0 or not valid[r, c] or not np.isfinite(centres[r, c, 0]):
                 continue
             there[i, j] = True
             cell_row[i, j], cell_col[i, j] = r, c
             level[i, j] = height[r, c]
             for k in range(3):
-                point[i, j, k] = middles[r, c, k] + np.float64(height[r, c]) * middles[r, c, k + 3]
-                up[i, j, k] = middles[r, c, k + 3]
+                point[i, j, k] = centres[r, c, k] + np.float64(height[r, c]) * centres[r, c, k + 3]
+                up[i, j, k] = centres[r, c, k + 3]
     return cell_row, cell_col, there, point, level, up
 
 

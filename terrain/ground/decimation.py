@@ -25,7 +25,7 @@ from skugga.terrain.geo.world import EARTH_RADIUS_M
 _PRESENT, _ABSENT, _BOTH = 1, 2, 3
 """Bits for the smallest triangles within a triangle: all present, all absent, or both, where it crosses the outline of the data."""
 
-LARGEST_UNDER_EYE = 64.0
+MAX_LENGTH_UNDER_EYE = 64.0
 """Maximum length of a triangle under the eye, as a multiple of the eye's height above the ground.
 
 Positions are float32. Points of a triangle whose corners are E metres away are resolved to 4.8e-7 E. For a sun 8 degrees high,
@@ -60,7 +60,7 @@ class NodeErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Decimated:
+class DecimatedMesh:
     """A conforming triangulation of some nodes of a grid.
 
     Attributes
@@ -78,7 +78,7 @@ class Decimated:
     tolerance: float
 
 
-def errors_m(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeErrors:
+def node_errors(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeErrors:
     """Return the errors of all nodes of a grid of heights (rows, cols), metres, NaN where no surface is.
 
     ``sagitta`` adds the bulge of the earth above a hypotenuse, length**2 / (8 R), with the earth's mean radius R. Raises
@@ -96,7 +96,7 @@ def errors_m(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeErro
 
 def decimate(
     errors: NodeErrors, eye_row_col_m: tuple[float, float, float], tolerance: float, max_triangles: int, near_m: float = 1.0
-) -> Decimated:
+) -> DecimatedMesh:
     """Return the nodes whose omission an eye at (row, col, height in metres) could see, and their triangles.
 
     A node is active if its error exceeds ``tolerance`` (radians) times its distance to the eye, which counts as at least
@@ -115,20 +115,20 @@ def decimate(
     if not 0.0 < near_m < np.inf:
         raise InputError("near_m", near_m, "a positive number of metres")
     if errors.triangles == 0:
-        return Decimated(np.zeros((0, 2), np.int32), np.zeros((0, 3), np.int32), float(tolerance))
+        return DecimatedMesh(np.zeros((0, 2), np.int32), np.zeros((0, 3), np.int32), float(tolerance))
     row, col, up = (float(v) for v in eye_row_col_m)
-    limit, nearest_m = _own_limits(errors.error_m, errors.height_m, errors.spacing_m, row, col, up, float(near_m))
+    limit, nearest_m = _limits_from_own_error(errors.error_m, errors.height_m, errors.spacing_m, row, col, up, float(near_m))
     _bend_near_eye(limit, errors.error_m, row, col, nearest_m)
     _split_under_eye(limit, errors.height_m, row, col, up, errors.spacing_m, float(near_m))
     _propagate(limit)
     tolerance = float(tolerance)
-    triangles = errors.triangles - _saved(limit, errors.bisected, tolerance)
+    triangles = errors.triangles - _count_saved(limit, errors.bisected, tolerance)
     if triangles > max_triangles:
         raised = _tolerance_that_saves(limit, errors.bisected, errors.triangles - max_triangles)
         tolerance = max(tolerance, float(raised))
-        triangles = errors.triangles - _saved(limit, errors.bisected, tolerance)
+        triangles = errors.triangles - _count_saved(limit, errors.bisected, tolerance)
     nodes, corners = _bisect(limit, errors.height_m, tolerance, triangles)
-    return Decimated(nodes, corners, tolerance)
+    return DecimatedMesh(nodes, corners, tolerance)
 
 
 @compiled
@@ -142,12 +142,12 @@ def _node_errors(height, bulge_m):
     parts = np.zeros((rows, cols), np.uint8)
     step = 1
     while step < max(rows, cols) - 1:
-        _fill(height, bulge_m, error, parts, 0, step, 2 * step, 0, step)
-        _fill(height, bulge_m, error, parts, step, 0, 2 * step, step, 0)
+        _fill_errors(height, bulge_m, error, parts, 0, step, 2 * step, 0, step)
+        _fill_errors(height, bulge_m, error, parts, step, 0, 2 * step, step, 0)
         for row in (step, 3 * step):
             for col in (step, 3 * step):
                 # The diagonal passes through the centre of the square that is twice as large.
-                _fill(height, bulge_m, error, parts, row, col, 4 * step, step, step if row == col else -step)
+                _fill_errors(height, bulge_m, error, parts, row, col, 4 * step, step, step if row == col else -step)
         step *= 2
     for row in range(rows):
         for col in range(cols):
@@ -157,7 +157,7 @@ def _node_errors(height, bulge_m):
 
 
 @internal
-def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, right):
+def _fill_errors(height, bulge_m, error, parts, first_row, first_col, stride, down, right):
     """Fill in the nodes whose hypotenuses end at offset (down, right) and at the opposite offset.
 
     The nodes within their triangles are already filled in. ``parts`` holds two bits for the triangle whose apex comes before the
@@ -171,43 +171,43 @@ def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, rig
                 error[row, col], parts[row, col] = np.inf, _BOTH | _BOTH << 2
                 continue
             ends_there = np.isfinite(height[row - down, col - right]) and np.isfinite(height[row + down, col + right])
-            found, needed = 0, False
+            both_parts, is_needed = 0, False
             for side in range(2):
                 turn = 2 * side - 1 if right > 0 else 1 - 2 * side
                 apex_row, apex_col = row + turn * right, col - turn * down
                 if 0 <= apex_row < rows and 0 <= apex_col < cols:
-                    part = _halves(height, parts, row, col, down, right, apex_row, apex_col)
+                    part = _parts_of_halves(height, parts, row, col, down, right, apex_row, apex_col)
                     # A triangle with three present corners is drawn, so one whose parts are all absent must be halved.
-                    needed |= part == _ABSENT and ends_there and np.isfinite(height[apex_row, apex_col])
+                    is_needed |= part == _ABSENT and ends_there and np.isfinite(height[apex_row, apex_col])
                 elif apex_row < 0 or apex_col < 0 or (row == rows - 1 if down == 0 else col == cols - 1):
                     part = _ABSENT
                 else:
                     part = _BOTH
-                needed |= part == _BOTH
-                found |= part << 2 * side
-            parts[row, col] = found
-            if needed:
+                is_needed |= part == _BOTH
+                both_parts |= part << 2 * side
+            parts[row, col] = both_parts
+            if is_needed:
                 error[row, col] = np.inf
-            elif (found | found >> 2) & _PRESENT:
+            elif (both_parts | both_parts >> 2) & _PRESENT:
                 ends = np.float64(height[row - down, col - right]) + np.float64(height[row + down, col + right])
                 error[row, col] = abs(height[row, col] - 0.5 * ends) + bulge_m
 
 
 @internal
-def _halves(height, parts, row, col, down, right, apex_row, apex_col):
+def _parts_of_halves(height, parts, row, col, down, right, apex_row, apex_col):
     """Return the parts of both halves of a triangle; each half spans the bisecting node, the apex and an end of the hypotenuse."""
-    found = 0
+    part = 0
     for end in (-1, 1):
         half_down, half_right = apex_row - row + end * down, apex_col - col + end * right
         if half_down & 1:
-            there = np.isfinite(height[row, col]) and np.isfinite(height[apex_row, apex_col])
-            there = there and np.isfinite(height[row + end * down, col + end * right])
-            found |= _PRESENT if there else _ABSENT
+            is_present = np.isfinite(height[row, col]) and np.isfinite(height[apex_row, apex_col])
+            is_present = is_present and np.isfinite(height[row + end * down, col + end * right])
+            part |= _PRESENT if is_present else _ABSENT
         else:
             # This node is the half's apex. It comes before or after the node that bisects the half.
-            before = half_down > 0 or (half_down == 0 and half_right > 0)
-            found |= parts[row + (half_down >> 1), col + (half_right >> 1)] >> (0 if before else 2) & 3
-    return found
+            apex_before = half_down > 0 or (half_down == 0 and half_right > 0)
+            part |= parts[row + (half_down >> 1), col + (half_right >> 1)] >> (0 if apex_before else 2) & 3
+    return part
 
 
 @compiled
@@ -225,7 +225,7 @@ def _smallest_triangles(height):
 
 
 @compiled
-def _own_limits(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):
+def _limits_from_own_error(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):
     """Return each node's limit (rows, cols) float32, and the distance in metres of the nearest node.
 
     A node is needed for its own error at tolerances below its limit.
@@ -269,7 +269,7 @@ def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):
 
 @compiled
 def _split_under_eye(limit, height, eye_row, eye_col, eye_m, spacing_m, near_m):
-    """Make the nodes mandatory that halve triangles under or next to the eye longer than ``LARGEST_UNDER_EYE`` allows.
+    """Make the nodes mandatory that halve triangles under or next to the eye longer than ``MAX_LENGTH_UNDER_EYE`` allows.
 
     "Next to" means within 1/32 of a triangle's leg. This catches the triangles that meet in a node right under the eye.
     """
@@ -278,17 +278,17 @@ def _split_under_eye(limit, height, eye_row, eye_col, eye_m, spacing_m, near_m):
     ground_m = height[int(round(eye_row)), int(round(eye_col))]
     if not np.isfinite(ground_m):
         return
-    largest_m = LARGEST_UNDER_EYE * max(abs(eye_m - ground_m), near_m)
+    largest_m = MAX_LENGTH_UNDER_EYE * max(abs(eye_m - ground_m), near_m)
     step = 1
     while step < max(rows, cols) - 1:
         if 2 * step * spacing_m > largest_m:
             for south, east in ((1, 2), (2, 1), (1, -2), (2, -1), (-1, 2), (-2, 1), (-1, -2), (-2, -1)):
-                _need_over(limit, eye_row + south * step / 32.0, eye_col + east * step / 32.0, step)
+                _require_over(limit, eye_row + south * step / 32.0, eye_col + east * step / 32.0, step)
         step *= 2
 
 
 @internal
-def _need_over(limit, at_row, at_col, step):
+def _require_over(limit, at_row, at_col, step):
     """Make the nodes of a step mandatory that halve a triangle over a position."""
     middle_row = int(np.floor(at_row)) // (2 * step) * 2 * step + step
     middle_col = int(np.floor(at_col)) // (2 * step) * 2 * step + step
@@ -327,7 +327,7 @@ def _at(limit, row, col):
 
 
 @compiled
-def _saved(limit, bisected, tolerance):
+def _count_saved(limit, bisected, tolerance):
     """Return the number of triangles that a tolerance saves: each wholly present triangle that is not bisected saves one."""
     saved = 0
     for row in range(limit.shape[0]):
@@ -371,28 +371,28 @@ def _bisect(limit, height, tolerance, count):
     triangles = np.empty((count, 3), np.int32)
     nodes = np.empty((min(3 * count, rows * cols), 2), np.int32)
     index = np.zeros((rows, cols), np.int32)  # index + 1; 0 marks nodes not yet used
-    made, used = 0, 0
+    triangle_count, node_count = 0, 0
     # Stack of triangles: row and column of the apex, then of the hypotenuse's ends, counter-clockwise. Each level adds one.
-    waiting = np.empty((128, 6), np.int64)
-    waiting[0], waiting[1] = (0, side, 0, 0, side, side), (side, 0, side, side, 0, 0)
+    stack = np.empty((128, 6), np.int64)
+    stack[0], stack[1] = (0, side, 0, 0, side, side), (side, 0, side, side, 0, 0)
     top = 2
     while top > 0:
         top -= 1
-        ar, ac, br, bc, cr, cc = waiting[top]
+        ar, ac, br, bc, cr, cc = stack[top]
         beyond = max(ar, br, cr) >= rows or max(ac, bc, cc) >= cols
         if beyond and (min(ar, br, cr) >= rows - 1 or min(ac, bc, cc) >= cols - 1):
             continue
         smallest = (br + cr) % 2 == 1 or (bc + cc) % 2 == 1
         mr, mc = (br + cr) // 2, (bc + cc) // 2
         if not smallest and (beyond or limit[mr, mc] > tolerance):
-            waiting[top], waiting[top + 1] = (mr, mc, ar, ac, br, bc), (mr, mc, cr, cc, ar, ac)
+            stack[top], stack[top + 1] = (mr, mc, ar, ac, br, bc), (mr, mc, cr, cc, ar, ac)
             top += 2
         elif not beyond and np.isfinite(height[ar, ac]) and np.isfinite(height[br, bc]) and np.isfinite(height[cr, cc]):
             for corner, (row, col) in enumerate(((ar, ac), (br, bc), (cr, cc))):
                 if index[row, col] == 0:
-                    nodes[used] = row, col
-                    used += 1
-                    index[row, col] = used
-                triangles[made, corner] = index[row, col] - 1
-            made += 1
-    return nodes[:used].copy(), triangles[:made]
+                    nodes[node_count] = row, col
+                    node_count += 1
+                    index[row, col] = node_count
+                triangles[triangle_count, corner] = index[row, col] - 1
+            triangle_count += 1
+    return nodes[:node_count].copy(), triangles[:triangle_count]

@@ -29,10 +29,10 @@ from skugga.terrain.cache import bytes_of
 from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.axes import axes_of
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_earth, transformer
-from skugga.terrain.ground.georeference import crs_of
-from skugga.terrain.ground.open_raster import dataset_of_heights, impossible_nodata
+from skugga.terrain.ground.georeference import checked_crs
+from skugga.terrain.ground.open_raster import impossible_nodata, open_height_raster
 from skugga.terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
-from skugga.terrain.ground.unmarked import UnmarkedCells
+from skugga.terrain.ground.unmarked_cells import UnmarkedCells
 from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.level.bundled import BUNDLED
 from skugga.terrain.level.gdal_guard import cap_caches
@@ -101,7 +101,7 @@ class Elevation:
         units: Units | None = None,
         exaggeration: float = 1.0,
         resolution_m: float | None = None,
-        made: MemoryFile | None = None,
+        raster_in_memory: MemoryFile | None = None,
         water_m: float | None = None,
         surface: GroundSurface = "smooth",
         nodata: float | None = None,
@@ -112,8 +112,8 @@ class Elevation:
         self.resolution_m = resolution_m
         self.water_m = -np.inf if water_m is None else float(np.float32(water_m))  # heights are float32
         try:
-            held = BUNDLED[source]() if source in BUNDLED else made
-            self._dataset = dataset_of_heights(source, held, nodata)
+            in_memory = BUNDLED[source]() if source in BUNDLED else raster_in_memory
+            self._dataset = open_height_raster(source, in_memory, nodata)
         except (RasterioError, OSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
             reason = reason or "it cannot be opened"
@@ -125,7 +125,7 @@ class Elevation:
                 "Give a raster whose first band has real numbers",
             )  # fmt: skip
         self.dtype, self.impossible_nodata = dataset.dtypes[0], None if nodata is not None else impossible_nodata(dataset)
-        self.crs = crs_of(source, dataset)
+        self.crs = checked_crs(source, dataset)
         self.rows, self.cols = dataset.height, dataset.width
         self.flat = self.crs.is_engineering
         self.vertical = vertical_axis(source, dataset, units, positive)
@@ -136,12 +136,12 @@ class Elevation:
         self._cell_from_crs = ~self._transform
         x_cell = abs(self._transform.a)
         self._wrap = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
-        self._resampling, self._settled, self.unmarked = Resampling.nearest, False, UnmarkedCells()
+        self._resampling, self._is_settled, self.unmarked = Resampling.nearest, False, UnmarkedCells()
         self.overview = self._read_overview()
         if not np.isfinite(self.overview.heights_m).any():
             if not self.unmarked.beyond:
                 raise SourceError(source, "no height in any cell (all nodata)", "Give a raster with heights")
-            beyond = f"no plausible height on earth in any cell ({self.unmarked.range_beyond(self.vertical)})"
+            beyond = f"no plausible height on earth in any cell ({self.unmarked.implausible_range(self.vertical)})"
             raise SourceError(source, beyond, f"State the unit of its heights: {remedy('units', 'UNIT')}")
 
     @property
@@ -156,14 +156,14 @@ class Elevation:
         return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
     @property
-    def square_cell(self) -> float | None:
+    def square_cell_size(self) -> float | None:
         """Side of a cell in CRS units; ``None`` if cells are not square or rows do not run from north to south."""
         gt = self._transform
         square = gt.b == 0 and gt.d == 0 and gt.a > 0 and abs(gt.a + gt.e) <= 1e-9 * gt.a
         return float(gt.a) if square else None
 
     @property
-    def upright(self) -> bool:
+    def is_north_up(self) -> bool:
         """Whether the raster is north-up: rows run from west to east, the northernmost one first."""
         gt = self._transform
         return bool(gt.b == 0 and gt.d == 0 and gt.a > 0 and gt.e < 0)
@@ -188,11 +188,11 @@ class Elevation:
         return stored, plausible & ~marked
 
     @property
-    def metres_per_count(self) -> float:
+    def metres_per_stored_unit(self) -> float:
         """Drawn height of a step of 1 in the stored values, metres; negative if they count downwards."""
         return float(self._scale)
 
-    def stored_range_m(self, cells: np.ndarray) -> tuple[float, float]:
+    def surface_range_m(self, cells: np.ndarray) -> tuple[float, float]:
         """Return the lowest and highest surface of some stored cells, metres: at least the height of standing water."""
         ends = np.array([cells.min(), cells.max()], np.float64) * self._scale + self._offset
         low, high = sorted(max(float(end), self.water_m) for end in ends)
@@ -225,7 +225,7 @@ class Elevation:
 
     def covers(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
         """Return whether coordinates in the raster's CRS lie on the raster, with longitudes wrapped."""
-        row, col = self.cell_of(self._round_earth(x), y)
+        row, col = self.cell_of(self._wrap_longitudes(x), y)
         inside = (row >= -0.5) & (row <= self.rows - 0.5)
         return inside if self._wrap else inside & (col >= -0.5) & (col <= self.cols - 0.5)
 
@@ -244,7 +244,7 @@ class Elevation:
         """
         return self._at_points(x, y)[0]
 
-    def _round_earth(self, x: float | np.ndarray) -> float | np.ndarray:
+    def _wrap_longitudes(self, x: float | np.ndarray) -> float | np.ndarray:
         """Return longitudes shifted by whole turns to those nearest to the raster's centre, and other coordinates unchanged."""
         if not self.crs.is_geographic:
             return x
@@ -256,7 +256,7 @@ class Elevation:
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         height, there = np.full(x.size, np.nan), np.zeros(x.size, bool)
         on = np.flatnonzero(self.covers(x, y))
-        row, col = self.cell_of(self._round_earth(x.ravel()[on]), y.ravel()[on])
+        row, col = self.cell_of(self._wrap_longitudes(x.ravel()[on]), y.ravel()[on])
         block = np.floor(row / READ_BLOCK_CELLS).astype(np.int64) * (self.cols + 1) + np.floor(col / READ_BLOCK_CELLS).astype(
             np.int64
         )
@@ -292,14 +292,14 @@ class Elevation:
         ``surface`` is blocks. NaN means no data nearby.
         """
         from skugga.terrain.ground.cells import cell_heights  # here: who asks for no height needs no compiler
-        from skugga.terrain.ground.elevation_loops import bilinear, on_level
+        from skugga.terrain.ground.elevation_loops import bilinear, to_level
 
         rows, cols = self._level_shape(level)
         row, col = (axis.copy() if 0 in axis.strides else axis for axis in (row, col))  # what is broadcast numba does not take
         if self._wrap:
-            row, col, ends = on_level(row, self._columns_of_level(level, col), 2.0**level, rows, np.inf)
+            row, col, ends = to_level(row, self._columns_of_level(level, col), 2.0**level, rows, np.inf)
         else:
-            row, col, ends = on_level(row, col, 2.0**level, rows, np.float64(cols))
+            row, col, ends = to_level(row, col, 2.0**level, rows, np.float64(cols))
         if not np.isfinite(ends).all():
             return np.full(row.shape, np.nan, np.float32), np.zeros(row.shape, bool)
         (row0, row1), (col0, col1) = ((int(np.floor(low)), int(np.floor(high)) + 2) for low, high in ends)
@@ -340,7 +340,7 @@ class Elevation:
         """Return heights in metres of a window of cells of a level, float32, NaN in holes."""
         if not self._wrap:
             return self._read_inside(level, row0, row1, col0, col1)
-        period, (_, cols) = self._columns_of_a_turn(level), self._level_shape(level)
+        period, (_, cols) = self._columns_per_turn(level), self._level_shape(level)
         parts, col = [], col0
         while col < col1:
             turn = col // period
@@ -360,7 +360,7 @@ class Elevation:
             min(row1 * factor, self.rows) - row0 * factor,
         )  # fmt: skip
         stored, height_m, marked, plausible = self._cells(window, (row1 - row0, col1 - col0), self._resampling)
-        if not self._settled:
+        if not self._is_settled:
             self.unmarked.add(stored, height_m, marked, plausible)
         height_m[marked | ~plausible] = np.nan
         return height_m.astype(np.float32)
@@ -376,7 +376,7 @@ class Elevation:
             plausible = (height_m >= self._limits[0]) & (height_m <= self._limits[1])
         return data.data, height_m, np.ma.getmaskarray(data), plausible
 
-    def _columns_of_a_turn(self, level: int) -> int:
+    def _columns_per_turn(self, level: int) -> int:
         """Return the number of cells of a level in one turn round the earth, for a raster that wraps."""
         return max(self._wrap // 2**level, 1)
 
@@ -387,7 +387,7 @@ class Elevation:
         one's are stretched over that remainder. So a position has the same column, up to whole turns, from whichever side it is
         reached.
         """
-        factor, whole = 2**level, self._columns_of_a_turn(level)
+        factor, whole = 2**level, self._columns_per_turn(level)
         col = (col + 0.5) / factor - 0.5
         if whole * factor == self._wrap:
             return col
@@ -405,16 +405,16 @@ class Elevation:
         factors = self._dataset.overviews(1)
         check_overviews(self.name, self.rows, self.cols, factors)
         self.lacks_overviews = lacks_overviews(self.rows, self.cols, factors)
-        found = read_overview(_Levels(self), self.rows, self.cols)
-        fine = None if found.fine_high_m is None else self._above_water(found.fine_high_m)
+        overview = read_overview(_GroundLevels(self), self.rows, self.cols)
+        fine = None if overview.fine_high_m is None else self._above_water(overview.fine_high_m)
         return replace(
-            found, heights_m=self._above_water(found.heights_m), high_m=self._above_water(found.high_m), fine_high_m=fine
+            overview, heights_m=self._above_water(overview.heights_m), high_m=self._above_water(overview.high_m), fine_high_m=fine
         )  # fmt: skip
 
     def _settle_resampling(self) -> None:
         """Switch from nearest cells to averages, unless the cells read so far contain an undeclared sentinel."""
-        self._resampling = Resampling.nearest if self.unmarked.any_beyond else Resampling.average
-        self._settled = True
+        self._resampling = Resampling.nearest if self.unmarked.has_implausible else Resampling.average
+        self._is_settled = True
 
 
 def plausible_m(crs: CRS) -> tuple[float, float]:
@@ -425,7 +425,7 @@ def plausible_m(crs: CRS) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Levels:
+class _GroundLevels:
     """Adapter of an ``Elevation`` for ``read_overview``: the ground without water (the public methods return the surface)."""
 
     of: Elevation

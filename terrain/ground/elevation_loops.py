@@ -9,7 +9,7 @@ from skugga.terrain.ground.extremes import widen
 
 
 @compiled
-def on_level(row, col, factor, rows, cols):
+def to_level(row, col, factor, rows, cols):
     """Transform rows and columns of level 0 to a level of ``rows`` x ``cols`` cells.
 
     Returns rows and columns, NaN off the raster, and the minimum and maximum of both (2, 2), infinite if no position is on it. If
@@ -22,13 +22,13 @@ def on_level(row, col, factor, rows, cols):
         _row_on_level(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
         widen(out_row[i], ends[0], ends[1])
         widen(out_col[i], ends[2], ends[3])
-    found = np.empty((2, 2))
+    bounds = np.empty((2, 2))
     for axis in range(2):
-        found[axis, 0], found[axis, 1] = np.inf, -np.inf
+        bounds[axis, 0], bounds[axis, 1] = np.inf, -np.inf
         for j in range(row.shape[1]):
-            found[axis, 0] = min(found[axis, 0], ends[2 * axis, j])
-            found[axis, 1] = max(found[axis, 1], ends[2 * axis + 1, j])
-    return out_row, out_col, found
+            bounds[axis, 0] = min(bounds[axis, 0], ends[2 * axis, j])
+            bounds[axis, 1] = max(bounds[axis, 1], ends[2 * axis + 1, j])
+    return out_row, out_col, bounds
 
 
 # The next loops are written so that they compile to vector instructions. Comparisons with NaN are false.
@@ -36,30 +36,30 @@ def on_level(row, col, factor, rows, cols):
 
 @internal
 def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
-    endless = cols == np.inf
+    wraps = cols == np.inf
     for j in range(out_row.size):
-        r, c = (row[j] + 0.5) / factor - 0.5, col[j] if endless else (col[j] + 0.5) / factor - 0.5
-        known = np.isfinite(c) & (r >= -0.5) & (r <= rows - 0.5) & (endless | ((c >= -0.5) & (c <= cols - 0.5)))
-        out_row[j], out_col[j] = r if known else np.nan, c if known else np.nan
+        r, c = (row[j] + 0.5) / factor - 0.5, col[j] if wraps else (col[j] + 0.5) / factor - 0.5
+        is_inside = np.isfinite(c) & (r >= -0.5) & (r <= rows - 0.5) & (wraps | ((c >= -0.5) & (c <= cols - 0.5)))
+        out_row[j], out_col[j] = r if is_inside else np.nan, c if is_inside else np.nan
 
 
 @compiled
-def bilinear(values, valid, whole, row, col, row0, col0):
+def bilinear(values, valid, all_valid, row, col, row0, col0):
     """Return bilinear heights float32 at (row, col) of a window that begins at (row0, col0), and the nearest cells' validity.
 
-    Positions beyond the outer centres are clamped. ``whole`` is whether all cells are valid.
+    Positions beyond the outer centres are clamped. ``all_valid`` is whether all cells are valid.
     """
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)
     there = np.empty(row.shape, np.bool_)
     corner, nearest = np.empty((2, row.shape[1]), np.int32), np.empty((2, row.shape[1]), np.int32)
-    beyond, four = np.empty((2, row.shape[1])), np.empty((4, row.shape[1]), np.float32)
+    fraction, four = np.empty((2, row.shape[1])), np.empty((4, row.shape[1]), np.float32)
     for i in range(row.shape[0]):
-        _cells_before(row[i], row0, rows, corner[0], nearest[0], beyond[0])
-        _cells_before(col[i], col0, cols, corner[1], nearest[1], beyond[1])
+        _locate_cells(row[i], row0, rows, corner[0], nearest[0], fraction[0])
+        _locate_cells(col[i], col0, cols, corner[1], nearest[1], fraction[1])
         _look_up(values, corner[0], corner[1], four)
-        _between(four[0], four[1], four[2], four[3], beyond[0], beyond[1], out[i])
-        if whole:
+        _interpolate(four[0], four[1], four[2], four[3], fraction[0], fraction[1], out[i])
+        if all_valid:
             for j in range(row.shape[1]):
                 there[i, j] = not np.isnan(row[i, j])
         else:
@@ -69,18 +69,18 @@ def bilinear(values, valid, whole, row, col, row0, col0):
 
 
 @internal
-def _cells_before(at, first, count, before, nearest, beyond):
+def _locate_cells(at, first, count, previous, nearest, fraction):
     """Find the cell before each position and the nearest cell, along an axis of ``count`` cells from ``first`` on, clamped.
 
-    ``beyond`` becomes the fraction of the way to the next cell. It is NaN for a position that is NaN, whose cells are arbitrary.
+    ``fraction`` becomes the fraction of the way to the next cell. It is NaN for a position that is NaN, whose cells are arbitrary.
     """
     last = max(count - 2.0, 0.0)
     for j in range(at.size):
         place = at[j] - first
         inside = min(max(place if place == place else 0.0, 0.0), count - 1.0)
-        before[j] = np.int32(min(inside, last))
+        previous[j] = np.int32(min(inside, last))
         nearest[j] = np.int32(min(inside + 0.5, count - 1.0))
-        beyond[j] = (inside if place == place else np.nan) - before[j]
+        fraction[j] = (inside if place == place else np.nan) - previous[j]
 
 
 @internal
@@ -94,7 +94,7 @@ def _look_up(values, row, col, out):
 
 
 @internal
-def _between(north_west, north_east, south_west, south_east, down, across, out):
+def _interpolate(north_west, north_east, south_west, south_east, down, across, out):
     """Interpolate between four cells. A neighbour of weight 0 is ignored, even if it is NaN."""
     for j in range(out.size):
         north, south = np.float64(north_west[j]), np.float64(south_west[j])

@@ -17,7 +17,7 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled
 from skugga.terrain.ground.noise import fractal_at
-from skugga.terrain.interpolation_loops import cell_before, lerp_corners
+from skugga.terrain.interpolation_loops import cell_interval, lerp_corners
 
 TIME_STEPS = (40, 20, 12, 8, 6)
 """Time steps on the coarsest grid and on each finer one; the last number holds for all further grids."""
@@ -31,14 +31,14 @@ HILLSIDE_AREA = 1e-3
 CREEP = 0.1
 """Soil creep, which rounds crests: the fraction of the way to its neighbours' mean that a cell moves in a step."""
 
-LAST_CREEP = 6
+FINAL_CREEP_STEPS = 6
 """Final steps of creep alone: they soften the straight edges of channels cut along eight directions."""
 
 SHIFT_CELLS, SHIFT_WAVE_CELLS = 1.8, 3.1
 """Displacement of the ground at a refinement, and the wavelength of its noise, in cells of the coarser grid."""
 
 
-def drained(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np.ndarray:
+def erode(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np.ndarray:
     """Return ground (rows, cols) float64 that rivers have eroded, in units of its longest side.
 
     Starts from ``start`` and lifts it by ``uplift``, both on the coarsest grid with at least two nodes a side. Refines the grid
@@ -47,13 +47,13 @@ def drained(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> 
     height, side = start.copy(), max(start.shape) - 1.0
     for level in range(halvings + 1):
         if level:
-            height, uplift = _refined(height, SHIFT_CELLS, seed + 2 * level), _refined(uplift, 0.0, 0)
+            height, uplift = _refine(height, SHIFT_CELLS, seed + 2 * level), _refine(uplift, 0.0, 0)
             side *= 2.0
         for _ in range(TIME_STEPS[min(level, len(TIME_STEPS) - 1)]):
             order, receiver = drainage(height)
-            _cut(height, uplift, order, receiver, 1.0 / side)
+            _incise(height, uplift, order, receiver, 1.0 / side)
             _creep(height)
-    for _ in range(LAST_CREEP):
+    for _ in range(FINAL_CREEP_STEPS):
         _creep(height)
     return height
 
@@ -68,16 +68,16 @@ def drainage(height):
     order = np.empty(rows * cols, np.int64)
     receiver = np.full(rows * cols, -1, np.int64)
     done = np.zeros((rows, cols), np.bool_)
-    waiting = [(height[0, 0], 0)]
+    heap = [(height[0, 0], 0)]
     receiver[0] = 0
     for i in range(rows):
         for j in range(cols):
             if (i == 0 or j == 0 or i == rows - 1 or j == cols - 1) and i + j > 0:
-                heapq.heappush(waiting, (height[i, j], i * cols + j))
+                heapq.heappush(heap, (height[i, j], i * cols + j))
                 receiver[i * cols + j] = i * cols + j
     count = 0
-    while len(waiting) > 0:
-        level, cell = heapq.heappop(waiting)
+    while len(heap) > 0:
+        level, cell = heapq.heappop(heap)
         i, j = cell // cols, cell % cols
         done[i, j] = True
         order[count] = cell
@@ -88,7 +88,7 @@ def drainage(height):
                 near = a * cols + b
                 if receiver[near] < 0:
                     receiver[near] = cell
-                    heapq.heappush(waiting, (max(height[a, b], level), near))
+                    heapq.heappush(heap, (max(height[a, b], level), near))
                 elif done[a, b] and near != cell and receiver[cell] != cell:
                     drop = (height[i, j] - height[a, b]) / np.sqrt(float((a - i) ** 2 + (b - j) ** 2))
                     if drop > steepest:
@@ -97,7 +97,7 @@ def drainage(height):
 
 
 @compiled
-def _cut(height, uplift, order, receiver, cell):
+def _incise(height, uplift, order, receiver, cell):
     """Apply one step of uplift and incision in place; ``cell`` is a cell's side."""
     flat, lift, cols = height.ravel(), uplift.ravel(), height.shape[1]
     area = np.full(flat.shape[0], cell * cell)
@@ -123,7 +123,7 @@ def _creep(height):
 
 
 @compiled
-def _refined(coarse, shift, seed):
+def _refine(coarse, shift, seed):
     """Return a grid of (2 m - 1, 2 n - 1) nodes, interpolated bilinearly in (m, n) nodes at positions displaced by noise.
 
     The rim is not displaced.
@@ -139,7 +139,7 @@ def _refined(coarse, shift, seed):
                 x += here * fractal_at(u, v, 2, seed)
                 y += here * fractal_at(u + 31.7, v + 47.1, 2, seed + 1)
             x, y = min(max(x, 0.0), cols - 1.0), min(max(y, 0.0), rows - 1.0)
-            a, b, down = cell_before(y, rows)
-            c, d, across = cell_before(x, cols)
+            a, b, down = cell_interval(y, rows)
+            c, d, across = cell_interval(x, cols)
             fine[i, j] = lerp_corners(coarse[a, c], coarse[a, d], coarse[b, c], coarse[b, d], down, across)
     return fine

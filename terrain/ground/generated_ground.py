@@ -18,8 +18,8 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, internal, on_cores
-from skugga.terrain.ground.erosion import drained
+from skugga.terrain.compiled import compiled, internal, map_on_cores
+from skugga.terrain.ground.erosion import erode
 from skugga.terrain.ground.noise import fractal, noise_at, ridged_at
 from skugga.terrain.level.parts import FlatGround, GeneratedGround, Terrain
 
@@ -64,11 +64,11 @@ def generated_ground(terrain: Terrain) -> MemoryFile:
     """
     spec = terrain.flat or terrain.generate
     assert spec is not None, "terrain has neither flat nor generate"
-    return _made(spec)
+    return _generate(spec)
 
 
 @cached("process", 640 * MIB, size_of=len)
-def _made(spec: FlatGround | GeneratedGround) -> MemoryFile:
+def _generate(spec: FlatGround | GeneratedGround) -> MemoryFile:
     if isinstance(spec, FlatGround):
         cols, rows = spec.cells
         return _raster(np.zeros((rows + 1, cols + 1), np.float32), spec.size[0] / cols, spec.size[1] / rows)
@@ -94,7 +94,7 @@ def _raster(heights: np.ndarray, dx: float, dy: float) -> MemoryFile:
 
 def _ridges(rows: int, cols: int, seed: int) -> np.ndarray:
     """Return mountains in massifs (rows + 1, cols + 1) float32, up to a linear scale."""
-    return _risen(rows, cols, seed, lambda x, y: np.maximum(0.55 + 0.9 * fractal(2.2 * x, 2.2 * y, 2, seed), 0.05))
+    return _uplift_and_erode(rows, cols, seed, lambda x, y: np.maximum(0.55 + 0.9 * fractal(2.2 * x, 2.2 * y, 2, seed), 0.05))
 
 
 def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
@@ -104,7 +104,7 @@ def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
         peaks = np.maximum(fractal(1.7 * x, 1.7 * y, 2, seed + 1), 0.0)
         return np.maximum(0.25 + 0.35 * fractal(2.6 * x, 2.6 * y, 2, seed) + 4.0 * peaks * peaks, 0.03)
 
-    height = _risen(rows, cols, seed, uplift).astype(np.float64)
+    height = _uplift_and_erode(rows, cols, seed, uplift).astype(np.float64)
     height = (height - height.min()) / np.ptp(height)
     y, x = (np.arange(cells + 1) / max(rows, cols) for cells in (rows, cols))
     floor = SEDIMENT[0] + SEDIMENT[1] * fractal(2.0 * x, 2.0 * y, 2, seed + 2)
@@ -114,7 +114,7 @@ def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
     return np.maximum(filled, lake).astype(np.float32)
 
 
-def _risen(rows: int, cols: int, seed: int, uplift: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+def _uplift_and_erode(rows: int, cols: int, seed: int, uplift: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
     """Return ground (rows + 1, cols + 1) float32 that was uplifted and eroded by rivers.
 
     ``uplift`` is a function of columns x (n,) and rows y (m,), in units of the longest side of the part shown.
@@ -125,17 +125,17 @@ def _risen(rows: int, cols: int, seed: int, uplift: Callable[[np.ndarray, np.nda
     nodes_y, nodes_x = (max(round(COARSEST_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
     x, y = (np.arange(n) * (SURROUNDINGS / COARSEST_CELLS) for n in (nodes_x, nodes_y))
     start = 0.02 * fractal(6.0 * x, 6.0 * y, 3, seed + 10)
-    eroded = drained(start, uplift(x, y), halvings, seed + 20)
+    eroded = erode(start, uplift(x, y), halvings, seed + 20)
     scale = COARSEST_CELLS * 2**halvings / (SURROUNDINGS * longest)  # eroded cells per cell
     first_row, first_col = ((n - 1 - cells * scale) / 2 for n, cells in zip(eroded.shape, (rows, cols), strict=True))
     octaves = max(int(np.log2(GULLY_CELLS / scale)), 0)  # down to wavelengths of two cells
-    return _by_strips(_roughened, rows, cols, eroded, first_row, first_col, scale, octaves, seed + 40)
+    return _fill_strips(_add_roughness, rows, cols, eroded, first_row, first_col, scale, octaves, seed + 40)
 
 
-def _by_strips(function: Callable[..., None], rows: int, cols: int, *parameters: Any) -> np.ndarray:
+def _fill_strips(function: Callable[..., None], rows: int, cols: int, *parameters: Any) -> np.ndarray:
     """Return an array (rows + 1, cols + 1) float32 whose strips ``function(out, row0, *parameters)`` fills in threads."""
     out = np.empty((rows + 1, cols + 1), np.float32)
-    on_cores(lambda row: function(out[row : row + STRIP_ROWS], row, *parameters), range(0, rows + 1, STRIP_ROWS))
+    map_on_cores(lambda row: function(out[row : row + STRIP_ROWS], row, *parameters), range(0, rows + 1, STRIP_ROWS))
     return out
 
 
@@ -147,7 +147,7 @@ def _cubic(a, b, c, d, t):
 
 
 @compiled
-def _roughened(out, row0, eroded, first_row, first_col, scale, octaves, seed):
+def _add_roughness(out, row0, eroded, first_row, first_col, scale, octaves, seed):
     """Fill ``out`` with eroded ground between its nodes, with gullies and knolls of ridged noise on steep slopes."""
     rows, cols = eroded.shape
     line, slant = np.empty(4), np.empty(4)

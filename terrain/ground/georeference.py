@@ -22,7 +22,7 @@ DEGREES_CELL = 0.02
 MOST_CELL_M = 50_000.0
 """Maximum side of a cell in a projected CRS, metres: a block of a thousand such cells reaches round the earth."""
 
-TO_STATE_IT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
+STATE_CRS_HINT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
 
 
 def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
@@ -35,8 +35,8 @@ def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
         "rational polynomials (RPCs)": (dataset.rpcs is not None, " -rpc"),
         "arrays of coordinates": (dataset.tags(ns="GEOLOCATION"), " -geoloc"),
     }
-    for way, (there, option) in ways.items():
-        if there:
+    for way, (is_present, option) in ways.items():
+        if is_present:
             needed = f"Give a raster with a geotransform ('gdalwarp{option} -t_srs EPSG:CODE {source} OUT.tif' makes one)"
             raise SourceError(source, f"it has {way} and no geotransform", needed)
 
@@ -48,7 +48,7 @@ def check_cells(source: str, dataset: rasterio.DatasetReader) -> None:
         raise SourceError(source, problem, "Give a raster with cells of a size above 0")
 
 
-def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
+def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
     """Return the horizontal CRS of an open raster, after checking that the raster's coordinates fit it.
 
     The vertical axis is dropped: positions in this CRS have heights of their own. Raises ``SourceError`` if the raster has no CRS
@@ -60,14 +60,14 @@ def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
     col, row = np.array([0, cols, 0, cols]), np.array([0, 0, rows, rows])
     x, y = gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
     west, south, east, north = float(x.min()), float(y.min()), float(x.max()), float(y.max())
-    like_degrees = (
+    looks_like_degrees = (
         -MOST_LONGITUDE_DEG <= west <= east <= MOST_LONGITUDE_DEG and -MOST_LATITUDE_DEG <= south <= north <= MOST_LATITUDE_DEG
     )
     small = max(abs(gt.a), abs(gt.b), abs(gt.d), abs(gt.e)) < DEGREES_CELL
     where = f"x from {west:.7g} to {east:.7g} and y from {south:.7g} to {north:.7g}"
     if dataset.crs is None:
-        guess = "; its coordinates may be degrees: EPSG:4326" if like_degrees and small and not gt.is_identity else ""
-        raise SourceError(source, "it has no coordinate reference system", f"Give a raster with a CRS ({TO_STATE_IT}{guess})")
+        guess = "; its coordinates may be degrees: EPSG:4326" if looks_like_degrees and small and not gt.is_identity else ""
+        raise SourceError(source, "it has no coordinate reference system", f"Give a raster with a CRS ({STATE_CRS_HINT}{guess})")
     try:
         crs = CRS.from_user_input(dataset.crs.to_wkt())
     except (CRSError, RasterioError):
@@ -85,14 +85,14 @@ def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
         whole = "degrees, latitudes from -90 to 90" if unit.startswith("degree") else f"coordinates in its unit, the {unit}"
         raise SourceError(
             source, f"its coordinates ({where}) lie outside its CRS {crs.name}",
-            f"Give {whole}, or state the CRS of these coordinates, such as a UTM zone for metres ({TO_STATE_IT})",
+            f"Give {whole}, or state the CRS of these coordinates, such as a UTM zone for metres ({STATE_CRS_HINT})",
         )  # fmt: skip
-    if crs.is_projected and like_degrees and small:
+    if crs.is_projected and looks_like_degrees and small:
         unit = crs.axis_info[0].unit_name
         raise SourceError(
             source,
             f"its coordinates ({where}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit})) look like degrees, not {crs.name}",
-            f"Give coordinates of that CRS, or state the CRS of these, such as EPSG:4326 ({TO_STATE_IT})",
+            f"Give coordinates of that CRS, or state the CRS of these, such as EPSG:4326 ({STATE_CRS_HINT})",
         )  # fmt: skip
     unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0)
     if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MOST_CELL_M:

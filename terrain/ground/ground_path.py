@@ -11,12 +11,12 @@ import numpy as np
 from skugga.terrain.errors import LevelError, Problem
 from skugga.terrain.geo.keyed_curve import KeyedCurve
 from skugga.terrain.ground.geolocate import Geolocator
-from skugga.terrain.level.motion import Above
+from skugga.terrain.level.motion import HeightReference
 
-LEAST_PLACES = 16
+MIN_SAMPLES = 16
 """Minimum number of samples that check a path between two keys."""
 
-MOST_PLACES = 20_000
+MAX_SAMPLES = 20_000
 """Approximate maximum number of samples that check a path."""
 
 UNDER_GROUND_M = 0.01
@@ -66,7 +66,7 @@ class GroundPath:
     place: Geolocator
     plan: KeyedCurve
     heights: KeyedCurve
-    above: Above
+    above: HeightReference
 
     def at_second(self, seconds: float) -> Standpoint:
         """Return the position at a time of the clock, in seconds."""
@@ -86,7 +86,7 @@ class GroundPath:
 
     def check(self, name: str, may_be_under_ground: bool = False) -> None:
         """Raise ``LevelError`` with the name ``name`` if the path leaves the ground's data or goes under the ground."""
-        seconds = self.seconds_along()
+        seconds = self.sample_times_s()
         _, _, height_m, ground_m = self._at(seconds)
         if not np.isfinite(ground_m).all():
             off = seconds[~np.isfinite(ground_m)][0]
@@ -99,16 +99,16 @@ class GroundPath:
             )
             raise LevelError(name, Problem(fault), "Keep all of the path above the ground")
 
-    def seconds_along(self) -> np.ndarray:
+    def sample_times_s(self) -> np.ndarray:
         """Return times (n,) in seconds at which the path is sampled, about every half cell, from key to key.
 
-        Samples are farther apart where more than ``MOST_PLACES`` would result.
+        Samples are farther apart where more than ``MAX_SAMPLES`` would result.
         """
         elevation, times_s = self.place.elevation, self.plan.times_s
         step_m = 0.5 * elevation.cell_size_m(self.place.world.metres_per_unit)
-        wanted = np.linalg.norm(np.diff(self.plan.values, axis=0), axis=1) / step_m
-        wanted = np.maximum(wanted * min(1.0, MOST_PLACES / max(float(wanted.sum()), 1.0)), LEAST_PLACES)
-        knots = np.concatenate([[0.0], np.cumsum(np.ceil(wanted))])
+        samples = np.linalg.norm(np.diff(self.plan.values, axis=0), axis=1) / step_m
+        samples = np.maximum(samples * min(1.0, MAX_SAMPLES / max(float(samples.sum()), 1.0)), MIN_SAMPLES)
+        knots = np.concatenate([[0.0], np.cumsum(np.ceil(samples))])
         return np.interp(np.arange(knots[-1] + 1.0), knots, times_s)
 
     def _at(self, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -121,7 +121,9 @@ class GroundPath:
         return point, up, own_m + ground_m if self.above == "ground" else own_m, ground_m
 
 
-def path_over_ground(keys: Sequence[TimedPosition], loop: bool, above: Above, place: Geolocator, name: str, key: str) -> GroundPath:
+def path_over_ground(
+    keys: Sequence[TimedPosition], loop: bool, above: HeightReference, place: Geolocator, name: str, key: str
+) -> GroundPath:
     """Return the path through keys. Raises ``LevelError`` with the name ``NAME.NUMBER.KEY`` for a key off the terrain."""
     world, elevation = place.world, place.elevation
     points = []

@@ -37,8 +37,8 @@ def tiled_heights(
     """Return the result of ``read(row0, col0, rows, cols)`` for a window of a grid's nodes, assembled from cached tiles."""
     owner = grid_key(world, elevation, grid)
     height, there = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
-    for row, top, bottom in _cuts(row0, rows):
-        for col, left, right in _cuts(col0, cols):
+    for row, top, bottom in _tile_ranges(row0, rows):
+        for col, left, right in _tile_ranges(col0, cols):
             first_row, first_col = row * TILE_NODES - RIM_NODES, col * TILE_NODES - RIM_NODES
             target = slice(top - row0, bottom - row0), slice(left - col0, right - col0)
             tile = _tiles.get(owner, row, col)
@@ -54,7 +54,7 @@ def tiled_heights(
     return height, there
 
 
-def _cuts(first: int, count: int) -> list[tuple[int, int, int]]:
+def _tile_ranges(first: int, count: int) -> list[tuple[int, int, int]]:
     """Return the fewest tiles along an axis that hold all nodes: each tile's number and its range of nodes, [start, stop)."""
     end = first + count
     low = (first + RIM_NODES) // TILE_NODES

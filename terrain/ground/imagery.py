@@ -14,8 +14,8 @@ from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.axes import axes_of
 from skugga.terrain.geo.world import World, is_longitude_latitude, transformer
 from skugga.terrain.ground.georeference import check_cells, check_geotransform
-from skugga.terrain.ground.open_raster import dataset_with_masks
-from skugga.terrain.interpolation_loops import blend_corners, cell_before
+from skugga.terrain.ground.open_raster import open_masked_raster
+from skugga.terrain.interpolation_loops import blend_corners, cell_interval
 from skugga.terrain.level.rasters import open_raster
 from skugga.terrain.srgb import linear_of_srgb
 
@@ -31,7 +31,7 @@ class Imagery:
         try:
             with open_raster(source) as file:
                 dtype = np.dtype(file.dtypes[0] if file.count else "uint8")
-            with dataset_with_masks(source, (1, 2, 3)) as dataset:
+            with open_masked_raster(source, (1, 2, 3)) as dataset:
                 check_geotransform(source, dataset)
                 if dataset.count < 3 or dataset.crs is None:
                     had = f"it has {dataset.count} bands" if dataset.count < 3 else "it has no coordinate reference system"
@@ -50,7 +50,7 @@ class Imagery:
             raise SourceError(source, reason or "it cannot be opened", "Give an RGB raster that GDAL reads") from None
         if data.dtype != dtype:  # integers were converted to floats, with NaN for nodata
             data = np.rint(np.where(valid, data, 0)).astype(dtype)
-        self._levels = _averages(_linear(data, valid, source), valid)
+        self._levels = _mip_levels(_linear_colors(data, valid, source), valid)
 
     def cells(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return (fractional) rows and columns (n, 2) of map coordinates (n,); NaN where they have none.
@@ -90,7 +90,7 @@ class Imagery:
         return out
 
 
-def _linear(data: np.ndarray, valid: np.ndarray, source: str) -> np.ndarray:
+def _linear_colors(data: np.ndarray, valid: np.ndarray, source: str) -> np.ndarray:
     """Return linear colours (rows, cols, 3) float32 of 8-bit sRGB values or of 16-bit values.
 
     16-bit values are scaled so that the 98th percentile of the valid ones becomes 1.
@@ -106,7 +106,7 @@ def _linear(data: np.ndarray, valid: np.ndarray, source: str) -> np.ndarray:
     return np.moveaxis(linear_of_srgb(coded), 0, -1).astype(np.float32)
 
 
-def _averages(colors: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:
+def _mip_levels(colors: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:
     colors = np.where(valid[..., None], colors, np.float32(np.nan))
     levels = [colors]
     while min(levels[-1].shape[:2]) >= 4:
@@ -127,8 +127,8 @@ def _sample(colors, cells, where, factor, out):
             if not (r >= -0.5 and c >= -0.5 and r <= rows - 0.5 and c <= cols - 0.5):
                 continue
             r, c = min(max(r, 0.0), rows - 1.0), min(max(c, 0.0), cols - 1.0)
-            r0, r1, down = cell_before(r, rows)
-            c0, c1, across = cell_before(c, cols)
+            r0, r1, down = cell_interval(r, rows)
+            c0, c1, across = cell_interval(c, cols)
             for k in range(3):
                 out[i, j, k] = blend_corners(
                     colors[r0, c0, k], colors[r0, c1, k], colors[r1, c0, k], colors[r1, c1, k], down, across

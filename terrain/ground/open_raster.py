@@ -42,8 +42,8 @@ GTIFF_VERTICAL = {"GTIFF_REPORT_COMPD_CS": "YES"}
 """GDAL option that includes the vertical CRS of a GeoTIFF 1.0, which GDAL leaves out by default."""
 
 
-def dataset_of_heights(source: str, held: MemoryFile | None, nodata: float | None) -> rasterio.DatasetReader:
-    """Open a raster of heights: the file ``source``, or the raster in memory ``held`` that replaces it.
+def open_height_raster(source: str, in_memory: MemoryFile | None, nodata: float | None) -> rasterio.DatasetReader:
+    """Open a raster of heights: the file ``source``, or the raster in memory ``in_memory`` that replaces it.
 
     A small raster is opened without its overviews, which may average sentinels into heights. ``nodata`` is a value of cells without
     a height, in addition to the declared one. Raises ``SourceError`` for a ``nodata`` that no cell can have, ``RasterioError`` and
@@ -51,7 +51,7 @@ def dataset_of_heights(source: str, held: MemoryFile | None, nodata: float | Non
     """
     with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings():  # an Env sends GDAL's messages to the log, not to stderr
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # the caller raises an error of its own
-        dataset = _open(source) if held is None else held.open()
+        dataset = _open(source) if in_memory is None else in_memory.open()
         if nodata is not None and dataset.count and dataset.dtypes[0] in _VRT_TYPES:
             dtype = np.dtype(dataset.dtypes[0])
             if dtype.kind in "iu" and not (float(nodata).is_integer() and np.iinfo(dtype).min <= nodata <= np.iinfo(dtype).max):
@@ -59,17 +59,17 @@ def dataset_of_heights(source: str, held: MemoryFile | None, nodata: float | Non
                 raise SourceError(f"{source}: nodata", problem, "Give a value that its cells can have")
             with np.errstate(over="ignore"):
                 nodata = float(np.asarray(nodata, np.float64).astype(dtype))  # -3.4028235e+38 itself is not a float32
-        return _with_all_masks(dataset, (1,), nodata)
+        return _apply_all_masks(dataset, (1,), nodata)
 
 
-def dataset_with_masks(source: str, bands: Sequence[int] = (1,)) -> rasterio.DatasetReader:
+def open_masked_raster(source: str, bands: Sequence[int] = (1,)) -> rasterio.DatasetReader:
     """Open a raster whose ``bands``, the first ones, are masked by everything that declares cells empty.
 
     Raises ``SourceError``, ``RasterioError`` and ``OSError``.
     """
     with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        return _with_all_masks(open_raster(source), bands, None)
+        return _apply_all_masks(open_raster(source), bands, None)
 
 
 def impossible_nodata(dataset: rasterio.DatasetReader) -> str | None:
@@ -79,9 +79,9 @@ def impossible_nodata(dataset: rasterio.DatasetReader) -> str | None:
     """
     if np.dtype(dataset.dtypes[0]).kind not in "iu" or dataset.nodatavals[0] is not None:
         return None
-    with rasterio.Env(), MemoryFile(ext=".vrt") as held:  # rasterio hides such a value, the text of a VRT does not
-        copy(dataset, held.name, driver="VRT")
-        band = ElementTree.fromstring(held.read()).find("VRTRasterBand")
+    with rasterio.Env(), MemoryFile(ext=".vrt") as in_memory:  # rasterio hides such a value, the text of a VRT does not
+        copy(dataset, in_memory.name, driver="VRT")
+        band = ElementTree.fromstring(in_memory.read()).find("VRTRasterBand")
     return None if band is None else band.findtext("NoDataValue")
 
 
@@ -93,7 +93,7 @@ def _open(source: str) -> rasterio.DatasetReader:
     return open_raster(source, OVERVIEW_LEVEL="NONE")
 
 
-def _with_all_masks(dataset: rasterio.DatasetReader, bands: Sequence[int], nodata: float | None) -> rasterio.DatasetReader:
+def _apply_all_masks(dataset: rasterio.DatasetReader, bands: Sequence[int], nodata: float | None) -> rasterio.DatasetReader:
     """Return a dataset whose ``read`` masks all empty cells: the given one, or a VRT. ``nodata`` is a further empty value."""
     if dataset.count < max(bands) or any(dataset.dtypes[band - 1] not in _VRT_TYPES for band in bands):
         return dataset
@@ -101,26 +101,26 @@ def _with_all_masks(dataset: rasterio.DatasetReader, bands: Sequence[int], nodat
         return dataset
     flags = dataset.mask_flag_enums[0]
     alpha = next((number for number, meaning in enumerate(dataset.colorinterp, 1) if meaning == ColorInterp.alpha), None)
-    parts: list[_Part] = []
+    parts: list[_VrtSource] = []
     if alpha is not None and alpha not in bands and MaskFlags.alpha not in flags:
-        parts.append(_Part(dataset.name, str(alpha), lut="0:0,1:255"))  # the lookup table interpolates real values
+        parts.append(_VrtSource(dataset.name, str(alpha), lut="0:0,1:255"))  # the lookup table interpolates real values
     if MaskFlags.nodata not in flags and any(dataset.nodatavals[band - 1] is not None for band in bands):
-        parts.append(_any_mask(dataset, _virtual(dataset, bands, dataset.name), bands))
+        parts.append(_union_mask(dataset, _vrt_of_values(dataset, bands, dataset.name), bands))
     if not parts and nodata is None:
         return dataset
     with dataset:
         if not parts and MaskFlags.per_dataset not in flags:
             is_small = dataset.width * dataset.height <= EXACT_HIGH_CELLS
-            return rasterio.open(_virtual(dataset, bands, dataset.name, nodata, exact=is_small))
+            return rasterio.open(_vrt_of_values(dataset, bands, dataset.name, nodata, ignores_overviews=is_small))
         if nodata is not None:
-            parts.append(_any_mask(dataset, _virtual(dataset, bands, dataset.name, nodata), bands))
+            parts.append(_union_mask(dataset, _vrt_of_values(dataset, bands, dataset.name, nodata), bands))
         if MaskFlags.all_valid not in flags:
-            parts.append(_any_mask(dataset, dataset.name, bands))
-        return rasterio.open(_virtual(dataset, bands, _masked(dataset, bands, parts), nodata, masked=True))
+            parts.append(_union_mask(dataset, dataset.name, bands))
+        return rasterio.open(_vrt_of_values(dataset, bands, _vrt_with_mask(dataset, bands, parts), nodata, masked=True))
 
 
 @dataclass(frozen=True)
-class _Part:
+class _VrtSource:
     """A source of a band of a VRT.
 
     Attributes
@@ -129,7 +129,7 @@ class _Part:
         The raster's file name, or the text of a VRT.
     band
         A band number, or ``mask,1`` for the mask of the first band.
-    exact
+    ignores_overviews
         Whether the raster's overviews are ignored.
     lut
         Lookup table: values and their replacements.
@@ -137,18 +137,18 @@ class _Part:
 
     name: str
     band: str
-    exact: bool = True
+    ignores_overviews: bool = True
     lut: str | None = None
 
 
-def _virtual(
+def _vrt_of_values(
     dataset: rasterio.DatasetReader,
     bands: Sequence[int],
     name: str,
     nodata: float | None = None,
     *,
     masked: bool = False,
-    exact: bool = True,
+    ignores_overviews: bool = True,
 ) -> str:
     """Return a VRT of bands of the raster ``name`` in which empty cells have the nodata value.
 
@@ -156,10 +156,10 @@ def _virtual(
     become floats. If ``masked``, the source's mask defines the empty cells, otherwise the bands' values do. (GDAL averages without
     empty cells if a VRT band has nodata, but not if it has a mask.)
     """
-    root = _root(dataset)
+    root = _vrt_root(dataset)
     for number in bands:
-        own, dtype = dataset.nodatavals[number - 1], dataset.dtypes[number - 1]
-        hole = nodata if nodata is not None else own if own is not None else np.nan
+        own_nodata, dtype = dataset.nodatavals[number - 1], dataset.dtypes[number - 1]
+        hole = nodata if nodata is not None else own_nodata if own_nodata is not None else np.nan
         if np.isnan(hole) and np.dtype(dtype).kind != "f":
             dtype = "float32" if np.dtype(dtype).itemsize <= 2 else "float64"
         band = ElementTree.SubElement(root, "VRTRasterBand", dataType=_VRT_TYPES[dtype], band=str(number))
@@ -167,42 +167,42 @@ def _virtual(
             metadata = ElementTree.SubElement(band, "Metadata")
             for key, value in tags.items():
                 ElementTree.SubElement(metadata, "MDI", key=key).text = value
-        said = {
+        elements = {
             "NoDataValue": repr(float(hole)), "UnitType": dataset.units[number - 1] or "",
             "Offset": repr(float(dataset.offsets[number - 1])), "Scale": repr(float(dataset.scales[number - 1])),
         }  # fmt: skip
-        for tag, text in said.items():
+        for tag, text in elements.items():
             if text:
                 ElementTree.SubElement(band, tag).text = text
-        skips = not masked and own is not None and own != hole
-        part = _add_source(band, dataset, _Part(name, str(number), exact), is_complex=masked or skips)
+        skips = not masked and own_nodata is not None and own_nodata != hole
+        part = _add_source(band, dataset, _VrtSource(name, str(number), ignores_overviews), is_complex=masked or skips)
         if masked:
             ElementTree.SubElement(part, "UseMaskBand").text = "true"
         elif skips:
-            ElementTree.SubElement(part, "NODATA").text = repr(own)
+            ElementTree.SubElement(part, "NODATA").text = repr(own_nodata)
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _any_mask(dataset: rasterio.DatasetReader, name: str, bands: Sequence[int]) -> _Part:
+def _union_mask(dataset: rasterio.DatasetReader, name: str, bands: Sequence[int]) -> _VrtSource:
     """Return a mask of a raster with a dataset's cells: 0 where the masks of all its bands are 0."""
     if len(bands) == 1:
-        return _Part(name, f"mask,{bands[0]}")
-    root = _root(dataset)
-    _add_derived(root, dataset, "max", [_Part(name, f"mask,{number}") for number in bands])
-    return _Part(ElementTree.tostring(root, encoding="unicode"), "1")
+        return _VrtSource(name, f"mask,{bands[0]}")
+    root = _vrt_root(dataset)
+    _add_derived(root, dataset, "max", [_VrtSource(name, f"mask,{number}") for number in bands])
+    return _VrtSource(ElementTree.tostring(root, encoding="unicode"), "1")
 
 
-def _masked(dataset: rasterio.DatasetReader, bands: Sequence[int], masks: Sequence[_Part]) -> str:
+def _vrt_with_mask(dataset: rasterio.DatasetReader, bands: Sequence[int], masks: Sequence[_VrtSource]) -> str:
     """Return a VRT of a raster's bands, unchanged, whose mask is 0 where any of the given masks is 0."""
-    root = _root(dataset)
+    root = _vrt_root(dataset)
     for number in bands:
         band = ElementTree.SubElement(root, "VRTRasterBand", dataType=_VRT_TYPES[dataset.dtypes[number - 1]], band=str(number))
-        _add_source(band, dataset, _Part(dataset.name, str(number)))
+        _add_source(band, dataset, _VrtSource(dataset.name, str(number)))
     _add_derived(ElementTree.SubElement(root, "MaskBand"), dataset, "min", masks)
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _root(dataset: rasterio.DatasetReader) -> ElementTree.Element:
+def _vrt_root(dataset: rasterio.DatasetReader) -> ElementTree.Element:
     rows, cols = dataset.shape
     root = ElementTree.Element("VRTDataset", rasterXSize=str(cols), rasterYSize=str(rows))
     if dataset.crs is not None:
@@ -212,7 +212,7 @@ def _root(dataset: rasterio.DatasetReader) -> ElementTree.Element:
     return root
 
 
-def _add_derived(root: ElementTree.Element, dataset: rasterio.DatasetReader, function: str, parts: Sequence[_Part]) -> None:
+def _add_derived(root: ElementTree.Element, dataset: rasterio.DatasetReader, function: str, parts: Sequence[_VrtSource]) -> None:
     """Add a band of bytes: a copy of one part, or a GDAL pixel function of several."""
     band = ElementTree.SubElement(root, "VRTRasterBand", dataType="Byte")
     if len(parts) > 1:
@@ -223,13 +223,13 @@ def _add_derived(root: ElementTree.Element, dataset: rasterio.DatasetReader, fun
 
 
 def _add_source(
-    band: ElementTree.Element, dataset: rasterio.DatasetReader, part: _Part, is_complex: bool = False
+    band: ElementTree.Element, dataset: rasterio.DatasetReader, part: _VrtSource, is_complex: bool = False
 ) -> ElementTree.Element:
     """Add a source to a VRT band that covers all of it."""
     rows, cols = dataset.shape
     source = ElementTree.SubElement(band, "ComplexSource" if is_complex or part.lut else "SimpleSource")
     ElementTree.SubElement(source, "SourceFilename", relativeToVRT="0", shared="0").text = part.name
-    if part.exact:
+    if part.ignores_overviews:
         options = ElementTree.SubElement(source, "OpenOptions")
         ElementTree.SubElement(options, "OOI", key="OVERVIEW_LEVEL").text = "NONE"
     ElementTree.SubElement(source, "SourceBand").text = part.band

@@ -24,7 +24,7 @@ MOST_CELLS_READ = 1_000_000_000
 Reading them takes some ten seconds, and as long for a zoomed-out tile.
 """
 
-LARGEST_STEP = 4
+MAX_OVERVIEW_RATIO = 4
 """Maximum ratio between successive overviews of a file: a coarse window then reads 16 cells for one."""
 
 FINE_LEVEL, MOST_FINE_CELLS = 5, 16_000_000
@@ -95,10 +95,10 @@ def lacks_overviews(rows: int, cols: int, factors: Sequence[int]) -> bool:
     if rows * cols <= EXACT_HIGH_CELLS:
         return False
     steps = [1, *sorted(factors), 2 ** overview_level(rows, cols)]
-    return any(after > LARGEST_STEP * before for before, after in zip(steps, steps[1:], strict=False))
+    return any(after > MAX_OVERVIEW_RATIO * before for before, after in zip(steps, steps[1:], strict=False))
 
 
-def command_for(source: str) -> str:
+def overviews_command(source: str) -> str:
     """Return the command that makes a raster's overviews."""
     return printable(f"skugga overviews {source}")
 
@@ -106,11 +106,11 @@ def command_for(source: str) -> str:
 def check_overviews(source: str, rows: int, cols: int, factors: Sequence[int]) -> None:
     """Raise ``SourceError`` if a raster's overview would read too many cells. The message names the command that helps."""
     level = overview_level(rows, cols)
-    ready = max((factor for factor in factors if factor <= 2**level), default=1)
-    if rows * cols > MOST_CELLS_READ * ready**2:
-        had = f"it has {cols} x {rows} cells and " + ("no overviews" if ready == 1 else f"overviews of {ready} cells at most")
+    coarsest = max((factor for factor in factors if factor <= 2**level), default=1)
+    if rows * cols > MOST_CELLS_READ * coarsest**2:
+        had = f"it has {cols} x {rows} cells and " + ("no overviews" if coarsest == 1 else f"overviews of {coarsest} cells at most")
         needed = f"a raster of more than {MOST_CELLS_READ / 1e6:,.0f} million cells needs coarse overviews"
-        raise SourceError(source, f"{had}; {needed}", f"Make overviews beside it with '{command_for(source)}' or gdaladdo")
+        raise SourceError(source, f"{had}; {needed}", f"Make overviews beside it with '{overviews_command(source)}' or gdaladdo")
 
 
 def read_overview(ground: LevelReader, rows: int, cols: int) -> Overview:
@@ -124,11 +124,11 @@ def read_overview(ground: LevelReader, rows: int, cols: int) -> Overview:
     if rows * cols > EXACT_HIGH_CELLS:
         ground.read(level, 0, shape[0], 0, shape[1])  # single cells, to find undeclared sentinels
         ground.settle()
-        kept = max(_finest_level(rows, cols, level, MOST_FINE_CELLS), min(FINE_LEVEL, level))
-        fine, lowest_m = _estimated_high(ground, kept, _finest_level(rows, cols, kept, EXACT_HIGH_CELLS), level)
-        high = _highest_below(fine, 2 ** (level - kept))
+        fine_level = max(_finest_level(rows, cols, level, MOST_FINE_CELLS), min(FINE_LEVEL, level))
+        fine, lowest_m = _estimated_high(ground, fine_level, _finest_level(rows, cols, fine_level, EXACT_HIGH_CELLS), level)
+        high = _block_maxima(fine, 2 ** (level - fine_level))
         means = ground.read(level, 0, shape[0], 0, shape[1])
-        return Overview(means, high, level, lowest_m, *((fine, kept) if kept < level else ()))
+        return Overview(means, high, level, lowest_m, *((fine, fine_level) if fine_level < level else ()))
     high, lowest_m = _exact_high(ground, level, rows, cols)
     ground.settle()
     return Overview(ground.read(level, 0, shape[0], 0, shape[1]), high, level, lowest_m)
@@ -152,35 +152,35 @@ def _finest_level(rows: int, cols: int, level: int, most: int) -> int:
     return next((finer for finer in range(level) if (rows >> finer) * (cols >> finer) <= most), level)
 
 
-def _estimated_high(ground: LevelReader, kept: int, finer: int, level: int) -> tuple[np.ndarray, float]:
-    """Estimate the maxima of cells of the level ``kept``, and the minimum of all ground.
+def _estimated_high(ground: LevelReader, fine_level: int, finer: int, level: int) -> tuple[np.ndarray, float]:
+    """Estimate the maxima of cells of the level ``fine_level``, and the minimum of all ground.
 
     The cells are those within whole cells of the coarser ``level``. Extremes come from the means of a ``finer`` level: the ground
     varies within a cell about as much as from cell to cell.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    per, rows = 2 ** (kept - finer), ground.level_shape(finer)[0]
-    m, n = (count * 2 ** (level - kept) for count in ground.level_shape(level))
+    block, rows = 2 ** (fine_level - finer), ground.level_shape(finer)[0]
+    m, n = (count * 2 ** (level - fine_level) for count in ground.level_shape(level))
     high, lowest_m = np.full((m, n), np.nan, np.float32), np.nan
-    count = max(MEANS_ROWS // per, 1)
+    count = max(MEANS_ROWS // block, 1)
     for first in range(0, m, count):
         last = min(first + count, m)
-        top, bottom = max(first * per - 1, 0), min(last * per + 1, rows)
+        top, bottom = max(first * block - 1, 0), min(last * block + 1, rows)
         mean = ground.read(finer, top, bottom, 0, ground.level_shape(finer)[1])
         above = maximum_filter(np.nan_to_num(mean, nan=-np.inf), size=3, mode="nearest")
         below = minimum_filter(np.nan_to_num(mean, nan=np.inf), size=3, mode="nearest")
         half_range = np.where(np.isfinite(above), above - below, 0.0) / 2
-        own = slice(first * per - top, last * per - top), slice(0, n * per)
-        high[first:last] = _highest_below((above + half_range)[own], per)
+        own = slice(first * block - top, last * block - top), slice(0, n * block)
+        high[first:last] = _block_maxima((above + half_range)[own], block)
         lowest_m = float(np.fmin(lowest_m, _lowest(np.where(np.isfinite(below), below - half_range, np.nan))))
     return high, lowest_m
 
 
-def _highest_below(high_m: np.ndarray, per: int) -> np.ndarray:
-    """Return the maximum of each block of ``per`` x ``per`` cells, NaN where no cell is finite."""
+def _block_maxima(high_m: np.ndarray, block: int) -> np.ndarray:
+    """Return the maximum of each block of ``block`` x ``block`` cells, NaN where no cell is finite."""
     rows, cols = high_m.shape
-    top = np.where(np.isfinite(high_m), high_m, -np.inf).reshape(rows // per, per, cols // per, per).max(axis=(1, 3))
+    top = np.where(np.isfinite(high_m), high_m, -np.inf).reshape(rows // block, block, cols // block, block).max(axis=(1, 3))
     return np.where(np.isfinite(top), top, np.nan).astype(np.float32)
 
 

@@ -50,11 +50,11 @@ class Sheet:
 
 def sheet_of(position_frame_m: np.ndarray, height_m: np.ndarray | None = None) -> Sheet:
     """Return the mesh of nodes (rows, cols, 3), cut by heights (rows, cols), or else by the nodes' third coordinate."""
-    return Sheet(position_frame_m, cuts_of(position_frame_m[..., 2] if height_m is None else height_m))
+    return Sheet(position_frame_m, diagonal_cuts(position_frame_m[..., 2] if height_m is None else height_m))
 
 
 @compiled
-def cuts_of(height):
+def diagonal_cuts(height):
     """Return which quads (rows - 1, cols - 1) of nodes with heights (rows, cols) are cut from north-west to south-east, bool.
 
     NaN is a missing corner: the cut then runs between its two neighbours.

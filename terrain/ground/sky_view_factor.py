@@ -22,15 +22,15 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, is_longitude_latitude, transformer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.interpolation_loops import lerp_corners
 
-LONGEST_NODES = 1024
+MAX_SIDE_NODES = 1024
 """Longest side, in nodes, of the grid on which a raster's horizon angles are computed."""
 
-NARROWEST = 0.01
+MIN_WIDTH_SHARE = 0.01
 """Minimum width of a cell as a share of its height: at a pole a cell has no width."""
 
 LATTICE_NODES = 65
@@ -39,7 +39,7 @@ LATTICE_NODES = 65
 Bilinear interpolation between them has an error below a hundredth of a node of the grid of horizon angles.
 """
 
-LOCAL_DEG = 20.0
+MAX_LOCAL_SPAN_DEG = 20.0
 """Maximum span of a raster in degrees, and its minimum distance to the poles, for the faster stereographic plane."""
 
 FLAT_PLANE, DEGREES, STEREOGRAPHIC = 0, 1, 2
@@ -115,13 +115,13 @@ def sky_view(elevation: Elevation, world: World) -> SkyView:
     """
     detail = np.log2(max(elevation.resolution_m or 0.0, 1e-9) / elevation.cell_size_m(world.metres_per_unit))
     longest = np.log2(max(elevation.shape))
-    level = max(int(np.ceil(longest - np.log2(LONGEST_NODES))), int(np.rint(min(detail, longest))), 0)
+    level = max(int(np.ceil(longest - np.log2(MAX_SIDE_NODES))), int(np.rint(min(detail, longest))), 0)
     side = 2**level
     row, col = ((np.arange(max(count // side, 1)) + 0.5) * side - 0.5 for count in elevation.shape)
     height_m, _ = elevation.heights_at(level, *np.meshgrid(row, col, indexing="ij"))
     half, middle = side / 2, (elevation.cols - 1) / 2
-    down_m = _apart_m(elevation, world, (row - half, middle), (row + half, middle))
-    across_m = np.maximum(_apart_m(elevation, world, (row, middle - half), (row, middle + half)), NARROWEST * down_m)
+    down_m = _distances_m(elevation, world, (row - half, middle), (row + half, middle))
+    across_m = np.maximum(_distances_m(elevation, world, (row, middle - half), (row, middle + half)), MIN_WIDTH_SHARE * down_m)
     node_m = float(np.sqrt(across_m[len(row) // 2] * down_m[len(row) // 2]))
     return SkyView(hidden_sky(height_m, across_m, down_m, world.curvature), level, node_m, _cell_finder(elevation, world))
 
@@ -130,11 +130,11 @@ RowsAndCols = tuple[float | np.ndarray, float | np.ndarray]
 """Rows and columns of cells."""
 
 
-def _apart_m(elevation: Elevation, world: World, one: RowsAndCols, other: RowsAndCols) -> np.ndarray:
+def _distances_m(elevation: Elevation, world: World, one: RowsAndCols, other: RowsAndCols) -> np.ndarray:
     """Return distances (rows,) on the earth between pairs of cells, metres, or their median where the CRS has no position."""
     points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (one, other)]
-    apart_m = np.linalg.norm(points[1] - points[0], axis=-1)
-    return np.where(np.isfinite(apart_m), apart_m, np.nanmedian(apart_m))
+    distance_m = np.linalg.norm(points[1] - points[0], axis=-1)
+    return np.where(np.isfinite(distance_m), distance_m, np.nanmedian(distance_m))
 
 
 def hidden_sky(height_m: np.ndarray, across_m: np.ndarray, down_m: np.ndarray, curvature: float = 0.0) -> np.ndarray:
@@ -149,22 +149,26 @@ def hidden_sky(height_m: np.ndarray, across_m: np.ndarray, down_m: np.ndarray, c
     hidden, hidden_turned = np.zeros(height_m.shape), np.zeros(height_m.T.shape)
     for direction in (1, -1):
         for aside in (-2, -1, 0, 1, 2):
-            _along(height_m, slope, across_m, down_m, True, _sector(aside, down_m / across_m), aside, direction, curvature, hidden)
+            _sweep_lines(
+                height_m, slope, across_m, down_m, True, _sector(aside, down_m / across_m), aside, direction, curvature, hidden
+            )
         for aside in (-1, 0, 1):
-            _along(*turned, down_m, across_m, False, _sector(aside, across_m / down_m), aside, direction, curvature, hidden_turned)
+            _sweep_lines(
+                *turned, down_m, across_m, False, _sector(aside, across_m / down_m), aside, direction, curvature, hidden_turned
+            )
     return np.clip(hidden + hidden_turned.T, 0.0, 1.0).astype(np.float32)
 
 
-def _sector(aside: int, narrow: np.ndarray) -> np.ndarray:
+def _sector(aside: int, spacing_ratio: np.ndarray) -> np.ndarray:
     """Return the widths (rows,), in radians, of the sector of azimuths that a line represents: half-way to the neighbouring lines.
 
-    The line goes ``aside`` half-nodes sideways for each node ahead. ``narrow`` (rows,) is the sideways spacing of nodes over the
+    The line goes ``aside`` half-nodes sideways for each node ahead. ``spacing_ratio`` (rows,) is the sideways spacing of nodes over the
     spacing ahead.
     """
-    angles = {0: np.arctan(narrow / 2), 1: np.arctan(narrow) / 2}
+    angles = {0: np.arctan(spacing_ratio / 2), 1: np.arctan(spacing_ratio) / 2}
     if abs(aside) < 2:
         return angles[abs(aside)]
-    return (np.arctan(narrow * 2) - np.arctan(narrow / 2)) / 2
+    return (np.arctan(spacing_ratio * 2) - np.arctan(spacing_ratio / 2)) / 2
 
 
 @compiled
@@ -203,19 +207,19 @@ def _light(tangent, rise):
 
 
 @compiled
-def _along(height, slope, ahead_m, aside_m, by_row, sector, aside, way, curvature, out):
+def _sweep_lines(height, slope, ahead_m, aside_m, by_row, sector, aside, direction, curvature, out):
     """Add the light that the ground passed hides, along all lines that go ``aside`` half-rows for each column.
 
-    ``way`` is the direction, 1 or -1. ``by_row`` is whether the distances, which are per raster row, belong to this array's rows or
+    ``direction`` is the direction, 1 or -1. ``by_row`` is whether the distances, which are per raster row, belong to this array's rows or
     to its columns.
     """
     rows, cols = height.shape
     low, high = min(0, -aside * (cols - 1)), 2 * (rows - 1) + max(0, -aside * (cols - 1))
     hull_m, hull_level = np.empty(cols), np.empty(cols)
     for line in range(low, high + 1, 1 if aside % 2 else 2):  # with even ``aside`` every other line has no node
-        depth, at_m = 0, 0.0
+        hull_size, at_m = 0, 0.0
         for n in range(cols):
-            c = n if way > 0 else cols - 1 - n
+            c = n if direction > 0 else cols - 1 - n
             half = line + aside * c
             if half < 0 or half > 2 * (rows - 1):
                 continue
@@ -228,27 +232,27 @@ def _along(height, slope, ahead_m, aside_m, by_row, sector, aside, way, curvatur
             if not np.isfinite(level):
                 continue
             level -= 0.5 * curvature * at_m * at_m
-            while depth >= 2:
-                last, before = depth - 1, depth - 2
+            while hull_size >= 2:
+                last, before = hull_size - 1, hull_size - 2
                 if (hull_level[before] - level) / (at_m - hull_m[before]) < (hull_level[last] - level) / (at_m - hull_m[last]):
                     break
-                depth -= 1
-            if on_node and depth > 0:
+                hull_size -= 1
+            if on_node and hull_size > 0:
                 # Curvature tilts the ground by the distance from the line's start; subtract that tilt.
-                tangent = (hull_level[depth - 1] - level) / (at_m - hull_m[depth - 1]) - curvature * at_m
+                tangent = (hull_level[hull_size - 1] - level) / (at_m - hull_m[hull_size - 1]) - curvature * at_m
                 east, south = slope[r, c, 0], slope[r, c, 1]
-                rise = -way * (east * ahead + south * beside) / length
+                rise = -direction * (east * ahead + south * beside) / length
                 own = max(rise, 0.0)
                 if tangent > own:
                     cosine = 1.0 / np.sqrt(1.0 + east * east + south * south)
                     lost = _light(own, rise) - _light(tangent, rise)
                     out[r, c] += sector[here] * lost * cosine / (np.pi * (1.0 + cosine))
-            hull_m[depth], hull_level[depth] = at_m, level
-            depth += 1
+            hull_m[hull_size], hull_level[hull_size] = at_m, level
+            hull_size += 1
     return out
 
 
-def pyramid(values: np.ndarray, of_four: Callable[..., np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def pyramid(values: np.ndarray, reduce_four: Callable[..., np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return all levels (k,) float32 of a grid's pyramid in one array, and a table (levels, 3) int64: offset, rows, columns.
 
     Each level joins 2 x 2 nodes of the previous one, down to one node. An odd last row or column is joined with itself.
@@ -256,7 +260,7 @@ def pyramid(values: np.ndarray, of_four: Callable[..., np.ndarray]) -> tuple[np.
     levels = [values]
     while levels[-1].size > 1:
         last = np.pad(levels[-1], [(0, n % 2) for n in levels[-1].shape], mode="edge")
-        levels.append(of_four(last.reshape(last.shape[0] // 2, 2, last.shape[1] // 2, 2), axis=(1, 3)))
+        levels.append(reduce_four(last.reshape(last.shape[0] // 2, 2, last.shape[1] // 2, 2), axis=(1, 3)))
     begins = np.cumsum([0, *(level.size for level in levels[:-1])])
     table = np.array([(begin, *level.shape) for begin, level in zip(begins, levels, strict=True)], np.int64)
     return np.concatenate([level.ravel() for level in levels]).astype(np.float32), table
@@ -269,7 +273,7 @@ def _cell_finder(elevation: Elevation, world: World) -> CellFinder:
     if world.flat:
         plane, count = FLAT_PLANE, 2
         x, y = (x - world.anchor_x) * world.metres_per_unit, (y - world.anchor_y) * world.metres_per_unit
-    elif is_longitude_latitude(elevation.crs) and not _local(elevation.bounds):
+    elif is_longitude_latitude(elevation.crs) and not _is_local(elevation.bounds):
         plane, count = DEGREES, 2
     else:
         plane, count = STEREOGRAPHIC, LATTICE_NODES
@@ -282,9 +286,9 @@ def _cell_finder(elevation: Elevation, world: World) -> CellFinder:
     return CellFinder(plane, axes, first, step, np.stack(_cells_at(elevation, world, plane, axes, *nodes), axis=-1))
 
 
-def _local(bounds_deg: tuple[float, float, float, float]) -> bool:
+def _is_local(bounds_deg: tuple[float, float, float, float]) -> bool:
     west, south, east, north = bounds_deg
-    return max(east - west, north - south) <= LOCAL_DEG and max(-south, north) <= 90.0 - LOCAL_DEG
+    return max(east - west, north - south) <= MAX_LOCAL_SPAN_DEG and max(-south, north) <= 90.0 - MAX_LOCAL_SPAN_DEG
 
 
 def _cells_at(
@@ -313,7 +317,7 @@ def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarra
     """
     finder = view.finder
     cells = np.empty((height_m.size, 2))
-    in_shares(
+    run_in_chunks(
         len(cells), _cells, position_frame_m.reshape(-1, 3), height_m.reshape(-1), frame.frame_from_earth, frame.origin_earth_m,
         finder.plane, finder.axes, finder.first, finder.step, finder.cells, 2.0**view.level, cells,
     )  # fmt: skip
@@ -333,13 +337,13 @@ def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, 
         x = m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz + origin[0]
         y = m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz + origin[1]
         z = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz + origin[2]
-        x, y = in_plane(x, y, z, height[n], plane, axes, first, step)
+        x, y = project_to_plane(x, y, z, height[n], plane, axes, first, step)
         row, col = cell_in_plane(x, y, first, step, lattice)
         out[n, 0], out[n, 1] = (row + 0.5) / side - 0.5, (col + 0.5) / side - 0.5
 
 
 @internal
-def in_plane(x, y, z, height, plane, axes, first, step):
+def project_to_plane(x, y, z, height, plane, axes, first, step):
     """Return the position in a finder's plane of the ground below an earth-fixed point with a height.
 
     The finder's parts may be arrays or tuples.
@@ -360,12 +364,12 @@ def in_plane(x, y, z, height, plane, axes, first, step):
 @internal
 def cell_in_plane(x, y, first, step, lattice):
     """Return row and column in the raster of a position in a finder's plane; NaN where it has none."""
-    across, down, j, i = square_of_lattice(x, y, first, step, lattice.shape[0], lattice.shape[1])
-    return cell_in_square(corners_of_square(lattice, i, j), across - j, down - i)
+    across, down, j, i = lattice_square(x, y, first, step, lattice.shape[0], lattice.shape[1])
+    return cell_in_square(square_corners(lattice, i, j), across - j, down - i)
 
 
 @internal
-def square_of_lattice(x, y, first, step, rows, cols):
+def lattice_square(x, y, first, step, rows, cols):
     """Return a position's distances across and down a lattice, in squares, and the column and row of its square.
 
     The distances are NaN for a position that is not finite. The square is the nearest one for a position off the lattice.
@@ -378,7 +382,7 @@ def square_of_lattice(x, y, first, step, rows, cols):
 
 
 @internal
-def corners_of_square(lattice, i, j):
+def square_corners(lattice, i, j):
     """Return the rows, then the columns, in the raster at the corners of a lattice's square: west to east, upper side first."""
     return (
         lattice[i, j, 0], lattice[i, j + 1, 0], lattice[i + 1, j, 0], lattice[i + 1, j + 1, 0],

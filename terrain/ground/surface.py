@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.geo.grid import Grid, MapView, step_at_anchor_m
 from skugga.terrain.geo.world import LocalFrame, World, is_longitude_latitude, transformer
 from skugga.terrain.ground.elevation import Elevation
@@ -80,7 +80,7 @@ class RefinedWindow:
     @cached_property
     def there(self) -> np.ndarray:
         """Valid mask (rows, cols)."""
-        return _refined_there(self.coarser.there, self.row0 % 2, self.col0 % 2, *self.shape)
+        return _refined_valid(self.coarser.there, self.row0 % 2, self.col0 % 2, *self.shape)
 
 
 NodeHeights = HeightWindow | RefinedWindow
@@ -138,7 +138,7 @@ class Surface:
     stride: int = field(init=False)
 
     def __post_init__(self) -> None:
-        steps = _steps_of(self.world, self.elevation, self.grid)
+        steps = _resolve_steps(self.world, self.elevation, self.grid)
         for name, value in zip(("step_m", "level", "cells_per_step", "stride"), steps, strict=True):
             object.__setattr__(self, name, value)
 
@@ -180,8 +180,8 @@ class Surface:
         rows, cols = int(row.max()) - row0 + 1, int(col.max()) - col0 + 1
         exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         out = np.empty((len(row), 3))
-        in_shares(
-            len(row), _scattered, exact, exact_rows, exact_cols, self.stride, row.astype(np.int64), col.astype(np.int64), height_m,
+        run_in_chunks(
+            len(row), _positions_of_nodes, exact, exact_rows, exact_cols, self.stride, row.astype(np.int64), col.astype(np.int64), height_m,
             out,
         )  # fmt: skip
         return out
@@ -207,7 +207,7 @@ class Surface:
             height = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
             _along(
                 foot, per_metre, first_row, first_col, self.stride, window.row0, window.col0, *window.shape, height, refined,
-                *_laid_out(array),
+                *_memory_layout(array),
             )  # fmt: skip
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -215,7 +215,7 @@ class Surface:
         if self.grid.refines:
             coarser, window = Surface(self.world, self.elevation, self.grid.coarser(1)), _coarser_window(row0, col0, rows, cols)
             height, there = coarser.heights(*window)
-            return _refined(height, row0 % 2, col0 % 2, rows, cols), _refined_there(there, row0 % 2, col0 % 2, rows, cols)
+            return _refined(height, row0 % 2, col0 % 2, rows, cols), _refined_valid(there, row0 % 2, col0 % 2, rows, cols)
         stride = self.stride
         exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
         cell = self.cells_of(x, y)
@@ -270,7 +270,7 @@ def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, in
 
 
 @cached("scene", MIB, size_of=lambda _: 512)
-def _steps_of(world: World, elevation: Elevation, grid: Grid) -> tuple[float, int, float, int]:
+def _resolve_steps(world: World, elevation: Elevation, grid: Grid) -> tuple[float, int, float, int]:
     """Return ``step_m``, ``level``, ``cells_per_step`` and ``stride`` of a surface.
 
     The result is cached, as every patch of ground makes a new ``Surface``.
@@ -337,16 +337,16 @@ def _quad_middle(west, east, south_west, south_east):
 
 
 @compiled
-def _refined_there(there, row0, col0, rows, cols):
+def _refined_valid(there, row0, col0, rows, cols):
     """Return the valid mask (rows, cols) at the same positions: valid where both ends of a diagonal are."""
     out = np.empty((rows, cols), np.bool_)
     for i in range(rows):
-        _refined_row_there(there[(row0 + i) // 2], there[(row0 + i + 1) // 2], col0, out[i])
+        _refined_row_valid(there[(row0 + i) // 2], there[(row0 + i + 1) // 2], col0, out[i])
     return out
 
 
 @internal
-def _refined_row_there(above, below, col0, out):
+def _refined_row_valid(above, below, col0, out):
     if col0 == 1:
         out[0] = (above[0] & below[1]) | (above[1] & below[0])
     pairs = (out.size - col0) // 2
@@ -384,11 +384,11 @@ def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
         coarse = (row0 + i) // stride
         m, share = coarse - first_row, (row0 + i - coarse * stride) / stride
         for k in range(kinds):
-            _of_row(exact[:, :, k], m, share, along)
+            _interpolate_row(exact[:, :, k], m, share, along)
             for coarse in range(col0 // stride, (col0 + cols - 1) // stride + 1):
                 n, at = coarse - first_col, coarse * stride - col0
                 begin, end = max(at, 0), min(at + stride, cols)
-                _between_exact(along, n - 1, weights, begin - at, out[k, i, begin:end])
+                _interpolate_between(along, n - 1, weights, begin - at, out[k, i, begin:end])
                 if begin == at:  # an exact column: zero weights must not carry a neighbour's NaN
                     out[k, i, at] = along[n]
     return out
@@ -398,7 +398,7 @@ ALONG_ROWS = 64
 """Rows that ``_along`` processes at a time, so it writes a column-major array as fast."""
 
 
-def _laid_out(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
+def _memory_layout(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
     """Return the flat memory behind an array (rows, cols), the array's offset in it, and its row and column strides, in values.
 
     One of the strides is 1 or -1.
@@ -415,7 +415,7 @@ PUT_COLUMNS = 8
 
 @compiled
 def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols, height, refined, flat, start, down, right):
-    """Write coordinates (rows, cols) at the tops of heights into an array described by ``_laid_out``.
+    """Write coordinates (rows, cols) at the tops of heights into an array described by ``_memory_layout``.
 
     ``foot`` (m, n) are exact coordinates at height 0 and ``per_metre`` (m, n) their change per metre of height. Sums follow the
     order of ``interpolated``. ``height`` belongs to the nodes or, if ``refined``, to those of the grid that theirs refines.
@@ -431,8 +431,8 @@ def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols
         for i in range(count):
             coarse = (row0 + top + i) // stride
             m, share = coarse - first_row, (row0 + top + i - coarse * stride) / stride
-            _of_row(foot, m, share, feet)
-            _of_row(per_metre, m, share, slopes)
+            _interpolate_row(foot, m, share, feet)
+            _interpolate_row(per_metre, m, share, slopes)
             if refined:
                 refined_row(height, row0 % 2 + top + i, col0 % 2, between)
             heights, own_ends = between if refined else height[top + i], ends[i]
@@ -440,18 +440,18 @@ def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols
                 n = first // stride - first_col
                 begin, end = max(first, col0) - first, min(first + stride, col0 + cols) - first
                 at = first + begin - col0
-                _ends_of(feet, slopes, n - 1, weights, begin, heights, at, own_ends, end - begin)
+                _write_tops(feet, slopes, n - 1, weights, begin, heights, at, own_ends, end - begin)
                 if begin == 0:  # an exact column: zero weights must not carry a neighbour's NaN
                     own_ends[at] = feet[n] + np.float64(heights[at]) * slopes[n]
         if abs(right) == 1:
             for i in range(count):
-                _put(ends[i], flat, start + (top + i) * down, right)
+                _write_contiguous(ends[i], flat, start + (top + i) * down, right)
         else:
-            _put_columns(ends, count, flat, start + top * down, down, right)
+            _write_columns(ends, count, flat, start + top * down, down, right)
 
 
 @internal
-def _of_row(exact, m, share, out):
+def _interpolate_row(exact, m, share, out):
     """Interpolate a row's values (n,) in the exact columns between exact rows (m, n)."""
     w = cubic_weights(share)
     for n in range(out.size):
@@ -465,7 +465,7 @@ def _of_row(exact, m, share, out):
 
 
 @internal
-def _between_exact(values, n, weights, first, out):
+def _interpolate_between(values, n, weights, first, out):
     """Interpolate nodes between the exact columns ``n`` + 1 and ``n`` + 2, from the node number ``first`` on."""
     a, b, c, d = values[n], values[n + 1], values[n + 2], values[n + 3]
     w0, w1 = weights[0][first : first + out.size], weights[1][first : first + out.size]
@@ -475,7 +475,7 @@ def _between_exact(values, n, weights, first, out):
 
 
 @internal
-def _ends_of(feet, slopes, n, weights, first, height, at, out, count):
+def _write_tops(feet, slopes, n, weights, first, height, at, out, count):
     """Write the tops of ``count`` nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2.
 
     The nodes begin at number ``first`` between these, in column ``at`` of the window.
@@ -528,7 +528,7 @@ def at_height(foot, slope, height, out):
 
 
 @internal
-def _put(values, flat, start, step):
+def _write_contiguous(values, flat, start, step):
     """Write values into an array, contiguously forwards from ``start`` or backwards."""
     count = values.size
     if step == 1:
@@ -542,7 +542,7 @@ def _put(values, flat, start, step):
 
 
 @internal
-def _put_columns(values, count, flat, start, down, right):
+def _write_columns(values, count, flat, start, down, right):
     """Write the first ``count`` rows of values into a column-major array, in blocks that fill whole cache lines."""
     for first in range(0, values.shape[1], PUT_COLUMNS):
         last = min(first + PUT_COLUMNS, values.shape[1])
@@ -568,7 +568,7 @@ def _positions(exact, first_row, first_col, stride, row0, col0, height):
 
 
 @compiled
-def _scattered(first, last, exact, first_row, first_col, stride, row, col, height, out):
+def _positions_of_nodes(first, last, exact, first_row, first_col, stride, row, col, height, out):
     """Compute what ``_positions`` does for single nodes, with sums in the same order, so the bits are the same."""
     for n in range(first, last):
         m, w = row[n] // stride, cubic_weights((row[n] - row[n] // stride * stride) / stride)

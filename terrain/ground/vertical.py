@@ -66,7 +66,7 @@ class VerticalAxis:
         Sources of the unit and the direction, in words; ``None`` if not stated.
     positive
         Whether numbers grow upwards or downwards.
-    other_unit
+    conflicting_unit
         A conflicting unit that the raster also states, in words.
     """
 
@@ -75,7 +75,7 @@ class VerticalAxis:
     unit_from: str | None
     positive: Positive
     positive_from: str | None
-    other_unit: str | None = None
+    conflicting_unit: str | None = None
 
     @property
     def scale(self) -> float:
@@ -119,13 +119,17 @@ def axis_of_band(
     stated = None if units is None else (units, METRES_PER_UNIT[units], "by terrain.units")
     band_unit = _unit_of_band(source, unit_word, of_crs.unit_name) if units is None else None
     of_band = None if band_unit is None else (band_unit, METRES_PER_UNIT[band_unit], "by its band")
-    by_crs = None if of_crs.unit_m is None else (_name_of(of_crs.unit_m), of_crs.unit_m, of_crs.by)
+    by_crs = None if of_crs.unit_m is None else (_unit_name(of_crs.unit_m), of_crs.unit_m, of_crs.source_text)
     name, unit_m, unit_from = stated or of_band or by_crs or ("m", 1.0, None)
     differs = of_band is not None and by_crs is not None and abs(by_crs[1] / unit_m - 1.0) > _SAME_UNIT
     directions: list[tuple[Positive | None, str | None]]
-    directions = [(positive, "by terrain.positive"), (_positive_of_band(tags), "by its band"), (of_crs.positive, of_crs.by)]
-    direction, positive_from = next(((way, by) for way, by in directions if way is not None), ("up", None))
-    other = f"in {by_crs[0]} {of_crs.by}" if by_crs is not None and differs else None
+    directions = [
+        (positive, "by terrain.positive"),
+        (_positive_of_band(tags), "by its band"),
+        (of_crs.positive, of_crs.source_text),
+    ]
+    direction, positive_from = next(((way, source_text) for way, source_text in directions if way is not None), ("up", None))
+    other = f"in {by_crs[0]} {of_crs.source_text}" if by_crs is not None and differs else None
     return VerticalAxis(name, unit_m, unit_from, "down" if direction == "down" else "up", positive_from, other)
 
 
@@ -141,14 +145,14 @@ class _CrsAxis:
         Length of the unit, metres.
     positive
         Direction in which it grows.
-    by
+    source_text
         The CRS as a source, in words.
     """
 
     unit_name: str | None = None
     unit_m: float | None = None
     positive: Positive | None = None
-    by: str = ""
+    source_text: str = ""
 
 
 def _axis_of_crs(crs: CRS | None) -> _CrsAxis:
@@ -195,7 +199,7 @@ def _plain_words(word: str) -> tuple[str, str]:
     return whole, alone
 
 
-def _name_of(unit_m: float) -> str:
+def _unit_name(unit_m: float) -> str:
     """Return the name of a unit of the given length, or the length as text."""
     return next((name for name, metres in METRES_PER_UNIT.items() if abs(unit_m / metres - 1.0) <= _SAME_UNIT), f"{unit_m:.9g} m")
 

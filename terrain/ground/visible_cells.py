@@ -63,13 +63,13 @@ def _axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, 
     return (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
 
 
-def block_slices(cells: CellRange, side: int, shape: tuple[int, int], more: int = 0) -> tuple[slice, slice]:
-    """Return slices of rows and columns of a coarser grid that cover a range of cells, with ``more`` blocks round them.
+def block_slices(cells: CellRange, side: int, shape: tuple[int, int], margin: int = 0) -> tuple[slice, slice]:
+    """Return slices of rows and columns of a coarser grid that cover a range of cells, with ``margin`` blocks round them.
 
     ``shape`` is the grid's number of blocks, each of ``side`` x ``side`` cells.
     """
     rows, cols = (
-        slice(min(max(int((first + 0.5) // side) - more, 0), count - 1), min(int((last + 0.5) // side) + 1 + more, count))
+        slice(min(max(int((first + 0.5) // side) - margin, 0), count - 1), min(int((last + 0.5) // side) + 1 + margin, count))
         for (first, last), count in zip(cells, shape, strict=True)
     )
     return rows, cols

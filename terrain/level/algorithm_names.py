@@ -23,21 +23,21 @@ def served_algorithms() -> tuple[str, ...]:
     return tuple(name for name in ALGORITHM_NAMES if name not in REFERENCE_NAMES)
 
 
-class _OneOfThem:
+class _RegisteredName:
     """Validator of a string: one of the names that are registered when it runs."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(_known, handler(source))
+        return core_schema.no_info_after_validator_function(_check_registered, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"type": "string", "enum": list(ALGORITHM_NAMES)}
 
 
-def _known(name: str) -> str:
+def _check_registered(name: str) -> str:
     if name not in ALGORITHM_NAMES:
         *others, last = (f"'{each}'" for each in ALGORITHM_NAMES)
         raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
     return name
 
 
-AlgorithmName = Annotated[str, _OneOfThem()]
+AlgorithmName = Annotated[str, _RegisteredName()]

@@ -15,12 +15,12 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from ruamel.yaml.error import YAMLError
 
 from skugga.terrain.errors import LevelError, Problem
-from skugga.terrain.level.data_files import special_kind
+from skugga.terrain.level.data_files import special_file_kind
 from skugga.terrain.level.durations import parse_duration
 from skugga.terrain.level.level_errors import level_error
 from skugga.terrain.level.level_text import parse_level_text
 from skugga.terrain.level.model import Model, Position
-from skugga.terrain.level.parts import PixelCount, time_of
+from skugga.terrain.level.parts import PixelCount, parse_time
 
 MOST_KEYS = 1000
 """Maximum number of keys of a camera path."""
@@ -28,17 +28,17 @@ MOST_KEYS = 1000
 MOST_FILE_CHARACTERS = 2**20
 """Maximum length of a camera file: far more than ``MOST_KEYS`` keys need."""
 
-AT_WORDS = "a time since the first frame, such as 0s, 90s or 10m, or an ISO 8601 time with an offset"
+ALLOWED_KEY_TIMES = "a time since the first frame, such as 0s, 90s or 10m, or an ISO 8601 time with an offset"
 """The allowed times of a key, for messages."""
 
 _READABLE = "Use a readable YAML file of camera keys"
 
 
-def _as_text(value: Any) -> Any:
+def _validate_time(value: Any) -> Any:
     """Return the text of a key's time. YAML parses an unquoted date to a ``datetime``, which becomes text again."""
     text = value.isoformat() if isinstance(value, datetime) else value
-    if not isinstance(text, str) or (_elapsed_s(text) is None and _moment(text) is None):
-        raise PydanticCustomError("at", AT_WORDS)
+    if not isinstance(text, str) or (_elapsed_s(text) is None and _parse_date(text) is None):
+        raise PydanticCustomError("at", ALLOWED_KEY_TIMES)
     return text
 
 
@@ -49,9 +49,9 @@ def _elapsed_s(text: str) -> float | None:
         return None
 
 
-def _moment(text: str) -> datetime | None:
+def _parse_date(text: str) -> datetime | None:
     try:
-        moment = time_of(text)
+        moment = parse_time(text)
     except ValueError:
         return None
     return None if moment.tzinfo is None else moment
@@ -60,13 +60,13 @@ def _moment(text: str) -> datetime | None:
 class CameraKey(Model):
     """The camera at one time: ``eye``, ``target`` and ``fov`` are those of a level's perspective views."""
 
-    at: Annotated[str, BeforeValidator(_as_text)]
+    at: Annotated[str, BeforeValidator(_validate_time)]
     eye: Position
     target: Position
     fov: float = Field(default=50.0, ge=0.01, le=179)
 
     @model_validator(mode="after")
-    def _apart(self) -> CameraKey:
+    def _check_target(self) -> CameraKey:
         if self.eye == self.target:
             raise PydanticCustomError("target", "a target other than the eye")
         return self
@@ -79,7 +79,7 @@ class CameraKey(Model):
     @property
     def moment(self) -> datetime | None:
         """Date and time of the key; ``None`` if its time counts from the first frame."""
-        return None if self.elapsed_s is not None else _moment(self.at)
+        return None if self.elapsed_s is not None else _parse_date(self.at)
 
 
 class CameraPathSpec(Model):
@@ -92,11 +92,11 @@ class CameraPathSpec(Model):
     size: tuple[PixelCount, PixelCount] = (1280, 1024)
 
     @model_validator(mode="after")
-    def _in_order(self) -> CameraPathSpec:
-        dated = self.keys[0].moment is not None
+    def _check_order(self) -> CameraPathSpec:
+        has_dates = self.keys[0].moment is not None
         for number, (key, following) in enumerate(pairwise(self.keys), start=1):
-            if (following.moment is not None) != dated:
-                words = f"{'a date' if dated else 'a time since the first frame'}, as in the first key"
+            if (following.moment is not None) != has_dates:
+                words = f"{'a date' if has_dates else 'a time since the first frame'}, as in the first key"
             elif following.moment is not None and key.moment is not None and following.moment > key.moment:
                 continue
             elif following.elapsed_s is not None and key.elapsed_s is not None and following.elapsed_s > key.elapsed_s:
@@ -125,7 +125,7 @@ class CameraPathSpec(Model):
 
 def load_camera_path(path: Path) -> CameraPathSpec:
     """Read and validate a camera file. Raises ``LevelError``, with one line for each wrong key."""
-    if (kind := special_kind(path)) is not None:
+    if (kind := special_file_kind(path)) is not None:
         raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE)
     try:
         with path.open(encoding="utf-8") as file:

@@ -22,7 +22,7 @@ _KINDS = (
 _ALLOWED = "Use a regular file"
 
 
-def special_kind(path: Path | str) -> str | None:
+def special_file_kind(path: Path | str) -> str | None:
     """Return the kind of a path that is not a regular file, in words, such as "a pipe".
 
     Returns ``None`` for a regular file and for a path that does not exist. Reading from a device or a pipe may never end.
@@ -37,7 +37,7 @@ def special_kind(path: Path | str) -> str | None:
 def check_file(source: str) -> None:
     """Raise ``SourceError`` if a file, or a file that it refers to, exists but is not a regular file."""
     for each in (source, *linked_files(source)):
-        if not is_remote(each) and (kind := special_kind(each)) is not None:
+        if not is_remote(each) and (kind := special_file_kind(each)) is not None:
             raise SourceError(source, f"{kind}, not a regular file" if each == source else f"refers to {each}, {kind}", _ALLOWED)
 
 
@@ -52,7 +52,7 @@ def check_geodata(source: str) -> None:
             continue
         if each.startswith("<"):
             raise SourceError(source, "a virtual file that contains another one as text", "Use a virtual file that names its parts")
-        kind = special_kind(each)
+        kind = special_file_kind(each)
         if kind not in (None, FOLDER):
             raise SourceError(source, f"{kind}, not a regular file" if each == source else f"refers to {each}, {kind}", _ALLOWED)
         root = None if kind == FOLDER else vrt_elements(Path(each))

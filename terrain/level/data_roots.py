@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Protocol
 
 from skugga.terrain.errors import LevelError, Problem, SourceError
-from skugga.terrain.level.linked_files import files_beside, is_remote
+from skugga.terrain.level.linked_files import is_remote, sidecar_files
 from skugga.terrain.level.rasters import open_raster
 
 _SCHEMES = ("http", "https", "ftp", "s3", "gs", "az", "oss", "swift")
-_ARCHIVES = re.compile(r"(?:/vsi(?:zip|gzip|tar|7z|rar)/)+")
-_ELSEWHERE = re.compile(r"/vsi(?:curl|s3|gs|az|adls|oss|swift|webhdfs|hdfs|mem)(?:_streaming)?[/?]")
+_ARCHIVE_VSI = re.compile(r"(?:/vsi(?:zip|gzip|tar|7z|rar)/)+")
+_REMOTE_VSI = re.compile(r"/vsi(?:curl|s3|gs|az|adls|oss|swift|webhdfs|hdfs|mem)(?:_streaming)?[/?]")
 
 
 class LevelFiles(Protocol):
@@ -67,26 +67,26 @@ class DataRoots:
         for file in (str(loaded.path), *loaded.linked_sources):
             self.check_path(loaded.path, file)
             if not is_remote(file):
-                for beside in filter(os.path.islink, map(str, files_beside(Path(file)))):
-                    self.check_path(loaded.path, beside)
+                for sidecar in filter(os.path.islink, map(str, sidecar_files(Path(file)))):
+                    self.check_path(loaded.path, sidecar)
 
-    def check_opened(self, loaded: LevelFiles) -> None:
+    def check_opened_files(self, loaded: LevelFiles) -> None:
         """Check the files that GDAL reports to open for the level's rasters.
 
         This finds references that ``linked_files`` does not know, since formats write them in many ways.
         """
-        known = dict.fromkeys(each for each in loaded.linked_sources if not is_remote(each))
-        waiting = list(known)
-        while waiting:
-            for file in _opened_with(waiting.pop()):
+        checked = dict.fromkeys(each for each in loaded.linked_sources if not is_remote(each))
+        queue = list(checked)
+        while queue:
+            for file in _files_opened_by_gdal(queue.pop()):
                 if not is_remote(file) and not os.path.lexists(file):
                     raise LevelError(
                         str(loaded.path), Problem(f"refers to {file}, which does not exist"), "Use rasters whose parts are files"
                     )
                 self.check_path(loaded.path, file)
-                if file not in known:
-                    known[file] = None
-                    waiting.append(file)
+                if file not in checked:
+                    checked[file] = None
+                    queue.append(file)
 
     def _real(self, file: str) -> str:
         folder, name = os.path.split(file)
@@ -101,18 +101,18 @@ def _local_path(address: str) -> str | None:
 
     Returns the address itself if that is not known, and ``None`` for a remote address.
     """
-    inside = _ARCHIVES.sub("", address, count=1) if address.startswith("/vsi") else address
+    path = _ARCHIVE_VSI.sub("", address, count=1) if address.startswith("/vsi") else address
     if "file:" in address.lower():
         return address
-    if inside.startswith("/vsi"):
-        return None if _ELSEWHERE.match(inside) else inside
-    scheme, found, _ = inside.partition("://")
+    if path.startswith("/vsi"):
+        return None if _REMOTE_VSI.match(path) else path
+    scheme, found, _ = path.partition("://")
     if found:
         return None if scheme.lower().rpartition("+")[2] in _SCHEMES else address
-    return address if "{" in inside else inside
+    return address if "{" in path else path
 
 
-def _opened_with(file: str) -> Iterable[str]:
+def _files_opened_by_gdal(file: str) -> Iterable[str]:
     """Return the files that GDAL opens for a raster and its overviews; none if the file is not a raster."""
     from rasterio.errors import RasterioError
 

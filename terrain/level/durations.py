@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from datetime import timedelta
 
-DURATION_WORDS = "a number and a unit, s, m, h or d, such as 15m"
+ALLOWED_DURATIONS = "a number and a unit, s, m, h or d, such as 15m"
 """The allowed durations, for messages."""
 
 _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
@@ -15,5 +15,5 @@ def parse_duration(text: str) -> timedelta:
     """Return a duration of 0 or more from its text, to a microsecond. Raises ``ValueError``."""
     found = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)([smhd])", text.strip())
     if found is None:
-        raise ValueError(DURATION_WORDS)
+        raise ValueError(ALLOWED_DURATIONS)
     return timedelta(**{_UNITS[found[2]]: float(found[1])})

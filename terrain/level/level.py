@@ -17,16 +17,16 @@ from ruamel.yaml.error import YAMLError
 
 from skugga.terrain.errors import InputError, LevelError, Problem, printable
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
-from skugga.terrain.level.data_files import special_kind
+from skugga.terrain.level.data_files import special_file_kind
 from skugga.terrain.level.data_roots import DataRoots
 from skugga.terrain.level.level_errors import UNKNOWN_KEY, level_error
-from skugga.terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
+from skugga.terrain.level.level_source import LEVEL_KEYS_BY_OPTION, LevelSource
 from skugga.terrain.level.level_text import MOST_CHARACTERS, parse_level_text
 from skugga.terrain.level.linked_files import is_remote, linked_files
 from skugga.terrain.level.model import Model
 from skugga.terrain.level.motion import ClockSeconds
 from skugga.terrain.level.parts import (
-    TIME_WORDS,
+    ALLOWED_TIMES,
     ForestSpec,
     LightSpec,
     MapSpec,
@@ -37,11 +37,11 @@ from skugga.terrain.level.parts import (
     ViewSpec,
     Water,
     Weather,
-    time_of,
+    parse_time,
 )
-from skugga.terrain.level.pin_scope import PinScope, never_taken
+from skugga.terrain.level.pin_scope import PinScope, covered_pins
 from skugga.terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
-from skugga.terrain.level.setting import Requests
+from skugga.terrain.level.setting import RequestOptions
 
 EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
@@ -65,17 +65,17 @@ class ShadowSettings(Model):
     """Shadow settings that a level or a request can pin. With ``auto`` the selector chooses.
 
     Each setting is declared here only. Its type, limits and description define the options of ``skugga render`` and
-    ``skugga select``, the HTTP parameters and the messages to render processes. ``Requests`` names the front ends that accept
+    ``skugga select``, the HTTP parameters and the messages to render processes. ``RequestOptions`` names the front ends that accept
     it, if not all do.
     """
 
     algorithm: Annotated[
-        Literal["auto"] | AlgorithmName | dict[str, Any], Requests(spelt=Annotated[str, Field(max_length=200)])
+        Literal["auto"] | AlgorithmName | dict[str, Any], RequestOptions(spelt=Annotated[str, Field(max_length=200)])
     ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.", examples=["auto"])
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = Field(
         default="auto", description="Size of a shadow map: texels per side.", examples=[1024]
     )
-    cascades: Annotated[Literal["auto", 1, 2, 3, 4], Requests(take=("render", "select", "plans"))] = Field(
+    cascades: Annotated[Literal["auto", 1, 2, 3, 4], RequestOptions(take=("render", "select", "plans"))] = Field(
         default="auto", description="Number of cascades: shadow maps of a perspective view, each for a range of distances."
     )
     depth_bits: Literal["auto", 16, 24, 32] = Field(default="auto", description="Bits of depth of a shadow map.")
@@ -83,7 +83,7 @@ class ShadowSettings(Model):
         default="auto",
         description="Shadow filter: taps per side in a map, or `sun` for the penumbra of the sun's disc or of a lamp's radius.",
     )
-    fit: Annotated[Literal["auto", "stable", "tight"], Requests(take=("render", "select"))] = Field(
+    fit: Annotated[Literal["auto", "stable", "tight"], RequestOptions(take=("render", "select"))] = Field(
         default="auto", description="Fit of a shadow map: on a lattice fixed to the ground, or tight around the view."
     )
     bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset"] = Field(
@@ -95,7 +95,7 @@ class ShadowSettings(Model):
     stencil: Literal["auto", "one_pass", "two_pass"] = Field(
         default="auto", description="Stencil passes of shadow volumes: both sides at once, or one after the other."
     )
-    counting: Annotated[Literal["auto", "z_fail"], Requests(auto=True)] = Field(
+    counting: Annotated[Literal["auto", "z_fail"], RequestOptions(auto=True)] = Field(
         default="auto",
         description="Stencil counting of shadow volumes: z-pass or z-fail as each caster needs, or z-fail for all.",
     )
@@ -105,25 +105,25 @@ class ShadowSettings(Model):
 
     @field_validator("algorithm")
     @classmethod
-    def _known(cls, value: Any) -> Any:
-        expand_override(value, lights_named(value))  # ``Level`` checks whether these lights exist
+    def _check_algorithm(cls, value: Any) -> Any:
+        expand_override(value, override_lights(value))  # ``Level`` checks whether these lights exist
         return value
 
 
 class Shadows(ShadowSettings):
     """Requested shadows: their settings, and the error and time limits for the choices of the selector."""
 
-    max_error: Annotated[FiniteFloat, Requests(take=("select", "plans"))] = Field(
+    max_error: Annotated[FiniteFloat, RequestOptions(take=("select", "plans"))] = Field(
         default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong.", examples=[0.03]
     )
-    max_ms: Annotated[FiniteFloat | None, Requests(take=("select", "plans"))] = Field(
+    max_ms: Annotated[FiniteFloat | None, RequestOptions(take=("select", "plans"))] = Field(
         default=None,
         gt=0,
         description="Time limit: milliseconds for the shadows of a frame (of a map: of a block of 1024 x 1024 pixels).",
         examples=[40],
     )
 
-    def pin_for(self, view: str, sun_altitude_deg: float | None) -> int | None:
+    def pin_number(self, view: str, sun_altitude_deg: float | None) -> int | None:
         """Return the number of the pin that applies to a view and a sun altitude (``None``: no sun). A request has no pins."""
         return None
 
@@ -142,7 +142,7 @@ class Pin(PinScope, ShadowSettings):
         return self.model_dump(include=self.model_fields_set & ShadowSettings.model_fields.keys())
 
     @model_validator(mode="after")
-    def _pins_something(self) -> Pin:
+    def _check_settings(self) -> Pin:
         if not self.settings:
             raise PydanticCustomError("pin", "at least one setting of {keys}", {"keys": ", ".join(ShadowSettings.model_fields)})
         return self
@@ -156,7 +156,7 @@ class LevelShadows(Shadows):
 
     pins: tuple[Pin, ...] = ()
 
-    def pin_for(self, view: str, sun_altitude_deg: float | None) -> int | None:
+    def pin_number(self, view: str, sun_altitude_deg: float | None) -> int | None:
         """Return the number of the first pin that applies to a view and a sun altitude; ``None`` if none does."""
         return next((number for number, pin in enumerate(self.pins) if pin.holds(view, sun_altitude_deg)), None)
 
@@ -176,7 +176,7 @@ class Level(Model):
     water: Water | None = None
     forest: tuple[ForestSpec, ...] = ()
     meshes: tuple[MeshSpec, ...] = ()
-    sun: SunSpec | Literal["none"] | None = None  # default: a low sun at the level's place, ``skugga.terrain.own_sun``
+    sun: SunSpec | Literal["none"] | None = None  # default: a low sun at the level's place, ``skugga.terrain.default_sun``
     lights: dict[LightName, LightSpec] = {}
     weather: Weather = Weather()
     style: StyleSpec = StyleSpec()
@@ -188,7 +188,7 @@ class Level(Model):
 
     @field_validator("lights")
     @classmethod
-    def _own_names(cls, value: dict[str, LightSpec]) -> dict[str, LightSpec]:
+    def _check_light_names(cls, value: dict[str, LightSpec]) -> dict[str, LightSpec]:
         reserved = (SUN, *get_args(CasterKind), *ALGORITHM_NAMES, "auto")
         for name in value:
             if name in reserved:
@@ -197,23 +197,23 @@ class Level(Model):
 
     @field_validator("style", mode="before")
     @classmethod
-    def _by_name(cls, value: Any) -> Any:
+    def _expand_style_name(cls, value: Any) -> Any:
         return {"name": value} if isinstance(value, str) else value
 
     @field_validator("archive")
     @classmethod
-    def _files(cls, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
+    def _check_archive(cls, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
         if any(is_remote(name) or not name for name in ((value,) if isinstance(value, str) else value)):
             raise PydanticCustomError("archive", "a local file, or a list of local files")
         return value
 
     @model_validator(mode="after")
-    def _lights_exist(self) -> Level:
+    def _check_lights(self) -> Level:
         expand_override(self.shadows.algorithm, self.light_names)
         return self
 
     @model_validator(mode="after")
-    def _pins_hold(self) -> Level:
+    def _check_pins(self) -> Level:
         """Check that each pin names an existing view and existing lights, and that earlier pins do not cover it completely."""
         pins, views, wrong = self.shadows.pins, {"map": None, **self.views}, []
         for number, pin in enumerate(pins):
@@ -226,7 +226,7 @@ class Level(Model):
                 where = ("shadows", "pins", number, "algorithm")
                 wrong.append(InitErrorDetails(type=error, loc=where, input=pin.algorithm))
         if not wrong:
-            for number, earlier in never_taken(pins, views, self.sun == "none"):
+            for number, earlier in covered_pins(pins, views, self.sun == "none"):
                 before = " and ".join(f"shadows.pins.{each} ({pins[each].where})" for each in earlier)
                 problem = PydanticCustomError("pin", "views and sun altitudes not covered by {before}", {"before": before})
                 wrong.append(InitErrorDetails(type=problem, loc=("shadows", "pins", number), input=pins[number].where))
@@ -235,20 +235,20 @@ class Level(Model):
         return self
 
     @model_validator(mode="after")
-    def _blocks_in_maps(self) -> Level:
-        eyes = [name for name, view in self.views.items() if view.kind == "perspective"]
-        if self.terrain.surface == "blocks" and eyes:
+    def _check_blocks(self) -> Level:
+        perspective_views = [name for name, view in self.views.items() if view.kind == "perspective"]
+        if self.terrain.surface == "blocks" and perspective_views:
             raise PydanticCustomError(
-                "blocks", "smooth: blocks works in maps only, and {views} is a perspective view", {"views": eyes[0]}
+                "blocks", "smooth: blocks works in maps only, and {views} is a perspective view", {"views": perspective_views[0]}
             )
         return self
 
     @property
-    def movers(self) -> tuple[str, ...]:
+    def moving_keys(self) -> tuple[str, ...]:
         """Keys of the parts that move with the level's clock: meshes, lamps, and clouds that cover a part of the sky."""
         meshes = [f"meshes.{number}" for number, mesh in enumerate(self.meshes) if mesh.moves]
         lamps = [f"lights.{name}" for name, light in self.lights.items() if light.moves]
-        return (*meshes, *lamps, *(("weather.cloud_cover",) if self.weather.drifts else ()))
+        return (*meshes, *lamps, *(("weather.cloud_cover",) if self.weather.has_drifting_clouds else ()))
 
     @property
     def light_names(self) -> tuple[str, ...]:
@@ -341,11 +341,11 @@ def expand_override(
                 "keys that name a light ({lights}) or a caster kind ({kinds})",
                 {"lights": ", ".join(lights), "kinds": ", ".join(kinds)},
             )
-    named = {light: {k: n for k, n in kinds_.items() if n != "auto"} for light, kinds_ in choice.items()}
-    return {light: kinds_ for light, kinds_ in named.items() if kinds_}
+    named = {light: {k: n for k, n in names_by_kind.items() if n != "auto"} for light, names_by_kind in choice.items()}
+    return {light: names_by_kind for light, names_by_kind in named.items() if names_by_kind}
 
 
-def lights_named(value: Any) -> tuple[str, ...]:
+def override_lights(value: Any) -> tuple[str, ...]:
     """Return the sun and the keys of an override that are not caster kinds, so must be lights."""
     keys = value if isinstance(value, dict) else ()
     return (SUN, *(key for key in keys if isinstance(key, str) and key not in (SUN, *get_args(CasterKind))))
@@ -365,7 +365,7 @@ def parse_algorithm(text: str, parameter: str = "algorithm", names: Sequence[str
             key, _, name = part.partition("=")
             value[key.strip()] = name.strip()
     try:
-        expand_override(value, lights_named(value), names)
+        expand_override(value, override_lights(value), names)
     except PydanticCustomError as error:
         raise InputError(parameter, text, error.message()) from None
     return value
@@ -411,9 +411,9 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         if space and "T" in head:
             written = f"{head}+{tail}"
         try:
-            moment = time_of(written)
+            moment = parse_time(written)
         except ValueError:
-            raise InputError("time", time, TIME_WORDS) from None
+            raise InputError("time", time, ALLOWED_TIMES) from None
         fields: dict[str, Any] = {"time": moment, "azimuth": azimuth, "altitude": altitude}
     else:
         fields = {"azimuth": azimuth, "altitude": altitude}
@@ -425,16 +425,16 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
             key: value for key, value in (("time", time), ("azimuth", azimuth), ("altitude", altitude)) if value is not None
         }
         name = ".".join(str(part) for part in detail["loc"]) or ("time" if time else "azimuth, altitude")
-        both = ", ".join(f"{key}={value}" for key, value in parameters.items())
-        value = parameters[name] if name in parameters and (len(parameters) == 1 or name != "time") else both
+        parameter_text = ", ".join(f"{key}={value}" for key, value in parameters.items())
+        value = parameters[name] if name in parameters and (len(parameters) == 1 or name != "time") else parameter_text
         raise InputError(name, value, detail["msg"].removeprefix("Input should be ")) from None
 
 
 TEXT_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")
 """Suffixes of files whose YAML errors are reported in detail. In other files such errors mean nothing."""
 
-_NEITHER = "neither a level file nor a raster that GDAL reads"
-_EITHER = "Use a raster of heights, or a YAML file that starts with 'version: 1'"
+_NOT_A_LEVEL = "neither a level file nor a raster that GDAL reads"
+_LEVEL_REMEDY = "Use a raster of heights, or a YAML file that starts with 'version: 1'"
 _READABLE = "Use a readable YAML file, or a raster that GDAL reads"
 
 
@@ -445,7 +445,7 @@ def load_level(source: Path | str | LevelSource) -> LoadedLevel:
     not accept.
     """
     source = LevelSource.of(source)
-    loaded = _loaded(source)
+    loaded = _load(source)
     if source.name is not None:
         loaded = loaded.model_copy(update={"name": source.name})
     if source.roots is not None:
@@ -453,7 +453,7 @@ def load_level(source: Path | str | LevelSource) -> LoadedLevel:
     return loaded
 
 
-def _loaded(source: LevelSource) -> LoadedLevel:
+def _load(source: LevelSource) -> LoadedLevel:
     path = source.path
     if source.roots is not None:
         DataRoots(source.roots).check_path(path, str(path))
@@ -467,9 +467,9 @@ def _loaded(source: LevelSource) -> LoadedLevel:
         raise InputError(
             name,
             Problem(f"applies to rasters only, and {path} is a level file"),
-            f"Write {KEYS_OF_OPTIONS[name]} in the level file",
+            f"Write {LEVEL_KEYS_BY_OPTION[name]} in the level file",
         )
-    if (kind := special_kind(path)) is not None:
+    if (kind := special_file_kind(path)) is not None:
         raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE)
     try:
         with path.open(encoding="utf-8") as level_file:
@@ -483,7 +483,7 @@ def _loaded(source: LevelSource) -> LoadedLevel:
         data = parse_level_text(text)
     except (ValueError, RecursionError, YAMLError) as error:  # also of an impossible date, or too deeply nested brackets
         if path.suffix.lower() not in TEXT_SUFFIXES:
-            raise LevelError(str(path), Problem(_NEITHER), _EITHER) from None
+            raise LevelError(str(path), Problem(_NOT_A_LEVEL), _LEVEL_REMEDY) from None
         if not isinstance(error, YAMLError):
             raise LevelError(str(path), Problem(str(error)), "Use well-formed YAML 1.2") from None
         mark = getattr(error, "problem_mark", None)
@@ -491,7 +491,7 @@ def _loaded(source: LevelSource) -> LoadedLevel:
         raise LevelError(where, Problem(getattr(error, "problem", None) or "broken YAML"), "Use well-formed YAML 1.2") from None
     if not isinstance(data, dict):
         if path.suffix.lower() not in TEXT_SUFFIXES:
-            raise LevelError(str(path), Problem(_NEITHER), _EITHER)
+            raise LevelError(str(path), Problem(_NOT_A_LEVEL), _LEVEL_REMEDY)
         raise LevelError(str(path), data, "a mapping that starts with 'version: 1'")
     try:
         level = Level.model_validate(data)

@@ -16,7 +16,7 @@ MOST_ERRORS = 1000
 UNKNOWN_KEY = "unknown_key"
 """Type of pydantic error for an unknown key."""
 
-_OF_THE_WHOLE = {"algorithm": ("shadows", "algorithm"), "blocks": ("terrain", "surface")}
+_LEVEL_ERROR_KEYS = {"algorithm": ("shadows", "algorithm"), "blocks": ("terrain", "surface")}
 """Types of errors that ``Level`` raises about one of its parts, and the keys of that part."""
 
 _PHRASES = (
@@ -36,18 +36,18 @@ def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
     Pydantic reports several errors for a key, such as one for each branch of a union. An error of a key takes precedence over
     errors of the parts that contain the key.
     """
-    if [error["loc"] for error in errors] == [()] and (whole := _OF_THE_WHOLE.get(errors[0]["type"])):
-        part, key = whole
+    if [error["loc"] for error in errors] == [()] and (error_keys := _LEVEL_ERROR_KEYS.get(errors[0]["type"])):
+        part, key = error_keys
         errors = [{**errors[0], "loc": (part, key), "input": data[part][key]}]
     errors = errors[:MOST_ERRORS]
-    of_keys: dict[_Keys, list[ErrorDetails]] = {}
-    for error in _of_meant_branches(data, errors):
-        of_keys.setdefault(_keys(data, error), []).append(error)
-    deepest = [keys for keys in of_keys if not any(other[: len(keys)] == keys for other in of_keys if other != keys)]
-    return combined_error([_of_key(path, keys, of_keys[keys]) for keys in deepest])
+    errors_by_key: dict[_Keys, list[ErrorDetails]] = {}
+    for error in _drop_unlikely_branches(data, errors):
+        errors_by_key.setdefault(_keys(data, error), []).append(error)
+    deepest = [keys for keys in errors_by_key if not any(other[: len(keys)] == keys for other in errors_by_key if other != keys)]
+    return combined_error([_key_error(path, keys, errors_by_key[keys]) for keys in deepest])
 
 
-def _of_meant_branches(data: Any, errors: list[ErrorDetails]) -> list[ErrorDetails]:
+def _drop_unlikely_branches(data: Any, errors: list[ErrorDetails]) -> list[ErrorDetails]:
     """Return the errors of the branches that the author of the file probably meant.
 
     Of each union it keeps the branches whose errors lie deepest. A list of points with one wrong coordinate, for example, is not
@@ -56,8 +56,8 @@ def _of_meant_branches(data: Any, errors: list[ErrorDetails]) -> list[ErrorDetai
     depths: dict[_Keys, dict[str, int]] = {}
     for error in errors:
         for union, branch in _branches(data, error):
-            of_union = depths.setdefault(union, {})
-            of_union[branch] = max(of_union.get(branch, 0), len(_keys(data, error)))
+            branch_depths = depths.setdefault(union, {})
+            branch_depths[branch] = max(branch_depths.get(branch, 0), len(_keys(data, error)))
     return [
         error
         for error in errors
@@ -70,7 +70,7 @@ def _branches(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str]]:
     return [(keys, step) for keys, step in _steps(data, error) if step is not None]
 
 
-def _of_key(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
+def _key_error(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
     """Return the error of one key from all pydantic errors of that key."""
     where, first, last = f"{path}: {'.'.join(keys)}", errors[0], errors[-1]
     if first["type"] == "union_tag_invalid":

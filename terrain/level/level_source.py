@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from skugga.terrain.errors import InputError, printable
 from skugga.terrain.level.parts import METRES_PER_UNIT, Positive, Units
 
-KEYS_OF_OPTIONS = {
+LEVEL_KEYS_BY_OPTION = {
     "canopy": "forest: [{source: FILE}]",
     "buildings": "meshes: [{source: FILE}]",
     "nodata": "terrain: {nodata: VALUE}",
@@ -26,7 +26,7 @@ def remedy(option: str, value: str) -> str:
     return f"write terrain: {{{option}: {value}}} (without a level file: --{option} {value})"
 
 
-def units_named(parameter: str, name: str | None) -> Units | None:
+def parse_units(parameter: str, name: str | None) -> Units | None:
     """Return the unit of heights with a name. Raises ``InputError``, which names the parameter."""
     found = next((unit for unit in METRES_PER_UNIT if unit == name), None)
     if name is not None and found is None:
@@ -34,7 +34,7 @@ def units_named(parameter: str, name: str | None) -> Units | None:
     return found
 
 
-def direction_named(parameter: str, name: str | None) -> Positive | None:
+def parse_positive(parameter: str, name: str | None) -> Positive | None:
     """Return the direction in which a raster's values increase. Raises ``InputError``, which names the parameter."""
     if name in (None, "up", "down"):
         return name  # type: ignore[return-value]
@@ -85,7 +85,7 @@ class LevelSource(BaseModel):
     @property
     def options(self) -> tuple[str, ...]:
         """Names of the options that are set."""
-        return tuple(name for name in KEYS_OF_OPTIONS if getattr(self, name) is not None)
+        return tuple(name for name in LEVEL_KEYS_BY_OPTION if getattr(self, name) is not None)
 
     @property
     def level_keys(self) -> dict[str, Any]:

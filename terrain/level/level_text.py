@@ -20,17 +20,17 @@ Without a limit, nine levels of nine aliases each expand to gigabytes.
 MOST_CHARACTERS = 2**24
 """Maximum length of a file's text."""
 
-DEEPEST = 32
+MAX_DEPTH = 32
 """Maximum depth of nested lists and mappings; levels need six."""
 
-_HARMFUL = re.compile("[\x01-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
+_CONTROL_CHARACTERS = re.compile("[\x01-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
 """Control characters, which terminals execute as commands, and surrogates, which cannot be encoded."""
 
 
 def parse_level_text(text: str) -> Any:
     """Return the values of a level file. Expands aliases and merge keys.
 
-    Raises ``YAMLError`` for malformed YAML, more than ``MOST_VALUES`` values, a depth over ``DEEPEST``, and control characters.
+    Raises ``YAMLError`` for malformed YAML, more than ``MOST_VALUES`` values, a depth over ``MAX_DEPTH``, and control characters.
     Raises ``ValueError`` for a value that its type does not allow, such as an impossible date.
     """
     yaml = YAML(typ="safe", pure=True)
@@ -46,13 +46,13 @@ class _BoundedComposer(Composer):
     def compose_node(self, parent: Any, index: Any) -> Any:
         self._depth, self._count = self._depth + 1, self._count + 1
         mark = self.parser.peek_event().start_mark
-        if self._depth > DEEPEST:
-            raise MarkedYAMLError(problem=f"more than {DEEPEST} nested lists and mappings", problem_mark=mark)
+        if self._depth > MAX_DEPTH:
+            raise MarkedYAMLError(problem=f"more than {MAX_DEPTH} nested lists and mappings", problem_mark=mark)
         if self._count > MOST_VALUES:
             raise MarkedYAMLError(problem=f"more than {MOST_VALUES} values", problem_mark=mark)
         node = super().compose_node(parent, index)
         self._depth -= 1
-        if isinstance(node, ScalarNode) and (found := _HARMFUL.search(node.value)):
+        if isinstance(node, ScalarNode) and (found := _CONTROL_CHARACTERS.search(node.value)):
             raise MarkedYAMLError(problem=f"the control character {ascii(found[0])}", problem_mark=mark)
         return node
 
@@ -61,28 +61,28 @@ class _BoundedConstructor(SafeConstructor):
     """A constructor that checks the size after alias expansion before it builds any value."""
 
     def construct_document(self, node: Any) -> Any:
-        _check_expanded(node, {})
+        _expanded_size(node, {})
         return super().construct_document(node)
 
 
-def _check_expanded(node: Node, known: dict[int, tuple[int, int] | None]) -> tuple[int, int]:
+def _expanded_size(node: Node, sizes: dict[int, tuple[int, int] | None]) -> tuple[int, int]:
     """Return the number of nodes and the depth of a node after alias expansion.
 
-    ``known`` caches the results by node; ``None`` marks the ancestors of the node. Raises ``MarkedYAMLError``.
+    ``sizes`` caches the results by node; ``None`` marks the ancestors of the node. Raises ``MarkedYAMLError``.
     """
     if isinstance(node, ScalarNode):
         return 1, 0
-    if id(node) in known:
-        if (found := known[id(node)]) is None:
+    if id(node) in sizes:
+        if (size := sizes[id(node)]) is None:
             raise MarkedYAMLError(problem="an alias of a list or mapping that contains it", problem_mark=node.start_mark)
-        return found
-    known[id(node)] = None
+        return size
+    sizes[id(node)] = None
     parts = [each for pair in node.value for each in pair] if isinstance(node, MappingNode) else node.value
-    counts, depths = zip(*(_check_expanded(part, known) for part in parts), strict=True) if parts else ((), ())
+    counts, depths = zip(*(_expanded_size(part, sizes) for part in parts), strict=True) if parts else ((), ())
     count, depth = 1 + sum(counts), 1 + max(depths, default=0)
-    if depth > DEEPEST:
-        raise MarkedYAMLError(problem=f"more than {DEEPEST} nested lists and mappings", problem_mark=node.start_mark)
+    if depth > MAX_DEPTH:
+        raise MarkedYAMLError(problem=f"more than {MAX_DEPTH} nested lists and mappings", problem_mark=node.start_mark)
     if count > MOST_VALUES:
         raise MarkedYAMLError(problem=f"more than {MOST_VALUES} values after alias expansion", problem_mark=node.start_mark)
-    known[id(node)] = count, depth
+    sizes[id(node)] = count, depth
     return count, depth

@@ -30,13 +30,13 @@ MOST_XML_BYTES = 64 * 2**20
 MOST_LINKED_FILES = 200_000
 """Maximum number of files that a file refers to, directly or indirectly."""
 
-DATA_ROOTS = ("kml", "FeatureCollection", "gpx", "osm", "osmChange", "svg", "feed", "rss", "JCSDataFile")
+VECTOR_XML_ROOTS = ("kml", "FeatureCollection", "gpx", "osm", "osmChange", "svg", "feed", "rss", "JCSDataFile")
 """Root elements of XML vector formats, which contain their features. Other XML may describe a network service."""
 
-ADDED_ENDINGS = (".aux.xml", ".ovr", ".msk", ".vat.dbf")
+APPENDED_SUFFIXES = (".aux.xml", ".ovr", ".msk", ".vat.dbf")
 """Suffixes of sidecar files that GDAL appends to a raster's name: statistics and georeferencing, overviews, masks."""
 
-OTHER_ENDINGS = (".aux", ".tfw", ".wld", ".jgw", ".pgw", ".prj", ".hdr", ".dbf", ".shx", ".cpg", ".qpj", ".bin")
+REPLACED_SUFFIXES = (".aux", ".tfw", ".wld", ".jgw", ".pgw", ".prj", ".hdr", ".dbf", ".shx", ".cpg", ".qpj", ".bin")
 """Suffixes of sidecar files that replace a file's suffix: world files, coordinate systems, parts of shapefiles and of glTF."""
 
 _GEOJSON_SUFFIXES = (".geojson", ".json", ".geojsonl", ".geojsons", ".topojson", ".jsonfg")
@@ -50,12 +50,12 @@ _FILE_ELEMENTS = (
     "MaskSourceFile",
 )
 _FILE_ITEMS = ("X_DATASET", "Y_DATASET", "RPC_DEM", "RPC_DEM_FILE", "OVERVIEW_FILE", "DEM")
-_MODELS_TEXT = re.compile(rb"^[ \t]*(?:mtllib|comment[ \t]+TextureFile)[ \t]+([^\r\n]+)", re.MULTILINE)
+_MODEL_LINK = re.compile(rb"^[ \t]*(?:mtllib|comment[ \t]+TextureFile)[ \t]+([^\r\n]+)", re.MULTILINE)
 _PIPELINE = b"gdal_streamed_alg"  # key of a file that GDAL runs as a command
 _LINKED_CRS = re.compile(rb"""(?i)"link"|\\u00[0-7]""")
 _ADDRESS = re.compile(r"""[A-Za-z][\w+.-]*://[^\s<>"']+|/vsi\w+/[^\s<>"']+""")
 _SOURCE_IN_SQL = re.compile(r"""['"]([^'"]+)['"]\s*\.""")  # FROM 'FILE'.table
-_MATERIAL_TEXT = re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+([^\r\n]+)", re.MULTILINE | re.IGNORECASE)
+_TEXTURE_LINK = re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+([^\r\n]+)", re.MULTILINE | re.IGNORECASE)
 
 
 def is_remote(source: str) -> bool:
@@ -63,11 +63,11 @@ def is_remote(source: str) -> bool:
     return "://" in source or source.startswith("/vsi")
 
 
-def files_beside(path: Path) -> list[Path]:
+def sidecar_files(path: Path) -> list[Path]:
     """Return the paths of all possible sidecar files of a file, whether they exist or not."""
     stem = path.with_suffix("")
-    added = [path.with_name(path.name + ending) for ending in ADDED_ENDINGS]
-    return added + [stem.with_name(stem.name + ending) for ending in OTHER_ENDINGS]
+    added = [path.with_name(path.name + ending) for ending in APPENDED_SUFFIXES]
+    return added + [stem.with_name(stem.name + ending) for ending in REPLACED_SUFFIXES]
 
 
 def linked_files(source: str) -> tuple[str, ...]:
@@ -75,15 +75,15 @@ def linked_files(source: str) -> tuple[str, ...]:
 
     An unreadable file gives none; the code that opens it raises the error.
     """
-    found: dict[str, None] = {}
-    waiting = [source]
-    while waiting and len(found) < MOST_LINKED_FILES:
-        current = waiting.pop(0)
-        for link in _direct(current):
-            if link != source and link not in found:
-                found[link] = None
-                waiting.append(link)
-    return tuple(found)
+    links: dict[str, None] = {}
+    queue = [source]
+    while queue and len(links) < MOST_LINKED_FILES:
+        current = queue.pop(0)
+        for link in _direct_links(current):
+            if link != source and link not in links:
+                links[link] = None
+                queue.append(link)
+    return tuple(links)
 
 
 def xml_head(head: bytes) -> str | None:
@@ -107,29 +107,29 @@ def vrt_elements(path: Path) -> ElementTree.Element | None:
         return None
 
 
-def _direct(source: str) -> Iterator[str]:
+def _direct_links(source: str) -> Iterator[str]:
     path = Path(source)
     if is_remote(source) or not path.is_file():
         return
     try:
-        names = [*_names_in(path)]
+        names = [*_file_names_in(path)]
     except (OSError, ValueError):
         return
     for name, from_folder in names:
         if name.startswith("data:") or "\0" in name:
             continue
         yield name if is_remote(name) or name.startswith(("/", "<")) or not from_folder else str((path.parent / name).resolve())
-        if path.suffix.lower() in MODEL_FILE_SUFFIXES and (beside := path.parent / Path(name).name).is_file():
-            yield str(beside.resolve())  # readers of models look in their own folder, too
+        if path.suffix.lower() in MODEL_FILE_SUFFIXES and (sidecar := path.parent / Path(name).name).is_file():
+            yield str(sidecar.resolve())  # readers of models look in their own folder, too
 
 
-def _names_in(path: Path) -> Iterator[tuple[str, bool]]:
+def _file_names_in(path: Path) -> Iterator[tuple[str, bool]]:
     """Yield the file names in a file, each with whether it is relative to the file's folder."""
     suffix = path.suffix.lower()
     if suffix in (".obj", ".ply"):
-        yield from ((name, True) for name in _matches(_MODELS_TEXT, path))
+        yield from ((name, True) for name in _matches(_MODEL_LINK, path))
     elif suffix == ".mtl":
-        yield from ((name, True) for name in _matches(_MATERIAL_TEXT, path))
+        yield from ((name, True) for name in _matches(_TEXTURE_LINK, path))
     elif suffix in (".gltf", ".glb"):
         yield from ((uri, True) for uri in _gltf_addresses(path))
     elif suffix in _GEOJSON_SUFFIXES:
@@ -149,7 +149,7 @@ def _service_addresses(path: Path) -> Iterator[str]:
     """Yield the addresses in the description of a web service: in XML that is none of the vector formats."""
     with path.open("rb") as file:
         root = xml_head(head := file.read(4096))
-        if root is None or root in DATA_ROOTS:
+        if root is None or root in VECTOR_XML_ROOTS:
             return
         text = head + file.read(MOST_XML_BYTES)
     yield from _ADDRESS.findall(text.decode("utf-8", "replace"))
@@ -164,14 +164,14 @@ def _linked_crs(path: Path) -> Iterator[str]:
             return
         found: list[str] = []
 
-        def look(pairs: list[tuple[str, object]]) -> dict[str, object]:
+        def collect(pairs: list[tuple[str, object]]) -> dict[str, object]:
             each = dict(pairs)
             crs = each.get("crs")
             if isinstance(crs, dict) and str(crs.get("type")).lower() == "link":
                 found.append(str((crs.get("properties") or {}).get("href")))
             return each
 
-        json.loads(text[:].decode("utf-8-sig"), object_pairs_hook=look)
+        json.loads(text[:].decode("utf-8-sig"), object_pairs_hook=collect)
     yield from found
 
 
@@ -180,7 +180,7 @@ def _matches(pattern: re.Pattern[bytes], path: Path) -> Iterator[str]:
         for match in pattern.finditer(text):
             stated = match[1].decode("utf-8", "replace").strip()
             yield stated
-            if pattern is _MATERIAL_TEXT and " " in stated:  # options may precede the name
+            if pattern is _TEXTURE_LINK and " " in stated:  # options may precede the name
                 yield stated.split()[-1]
 
 

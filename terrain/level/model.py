@@ -21,7 +21,7 @@ class Model(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _name_unknown_keys(cls, data: Any, validate: ModelWrapValidatorHandler[Self]) -> Self:
+    def _report_unknown_keys(cls, data: Any, validate: ModelWrapValidatorHandler[Self]) -> Self:
         """Report unknown keys, with the allowed keys, together with the errors of the known keys."""
         unknown = [key for key in data if key not in cls.model_fields] if isinstance(data, dict) else []
         if not unknown:

@@ -20,7 +20,7 @@ MOST_PATH_KEYS = 10_000
 ClockSeconds = Annotated[float, Field(ge=-1e9, le=1e9)]
 """A time of the level's clock, seconds."""
 
-Above = Literal["ground", "sea"]
+HeightReference = Literal["ground", "sea"]
 """Reference of a path's heights: the ground below, which the path follows, or height 0 of the drawn heights."""
 
 PathHeight = Annotated[float, Field(ge=-12000, le=1e6)]
@@ -30,10 +30,11 @@ KeyPath = tuple[str | int, ...]
 """Keys and list indices that lead to a nested part of a level file."""
 
 
-def wrong_parts(title: str, wrong: Sequence[tuple[KeyPath, object, str]]) -> ValidationError:
+def parts_error(title: str, wrong: Sequence[tuple[KeyPath, object, str]]) -> ValidationError:
     """Return one error of several parts, each with its key path, its value and the allowed values."""
     return ValidationError.from_exception_data(
-        title, [InitErrorDetails(type=PydanticCustomError("part", words), loc=at, input=was) for at, was, words in wrong]
+        title,
+        [InitErrorDetails(type=PydanticCustomError("part", words), loc=location, input=value) for location, value, words in wrong],
     )
 
 
@@ -50,7 +51,7 @@ class PathKey(_Key):
 
     @field_validator("position", mode="before")
     @classmethod
-    def _two_or_three(cls, value: Any) -> Any:
+    def _check_dimensions(cls, value: Any) -> Any:
         if isinstance(value, list | tuple) and len(value) not in (2, 3):
             raise PydanticCustomError("position", "two numbers, or three with a height")
         return value
@@ -68,7 +69,7 @@ class LampKey(_Key):
     target: PathPosition | None = None
 
     @model_validator(mode="after")
-    def _says_something(self) -> Self:
+    def _check_not_empty(self) -> Self:
         if self.position is None and self.target is None:
             raise PydanticCustomError("motion", "a position, a target or both, besides seconds")
         return self
@@ -82,18 +83,18 @@ class _Path(Model):
     """
 
     loop: bool = False
-    above: Above = "ground"
+    above: HeightReference = "ground"
 
 
-def _wrong_keys(keys: Sequence[_Key], loop: bool) -> list[tuple[KeyPath, object, str]]:
+def _key_errors(keys: Sequence[_Key], loop: bool) -> list[tuple[KeyPath, object, str]]:
     """Return the wrong keys of a path: their key paths, values and allowed values."""
     if len(keys) < 2:
         return [(("path",), [key.model_dump(exclude_none=True) for key in keys], "at least two keys")]
     wrong: list[tuple[KeyPath, object, str]] = []
-    for number, (before, after) in enumerate(pairwise(keys), start=1):
-        if not after.seconds - before.seconds >= LEAST_KEY_STEP_S:
-            allowed = f"seconds that increase by at least {LEAST_KEY_STEP_S} from key to key: the previous has {before.seconds:g}"
-            wrong.append((("path", number, "seconds"), after.seconds, allowed))
+    for number, (previous, following) in enumerate(pairwise(keys), start=1):
+        if not following.seconds - previous.seconds >= LEAST_KEY_STEP_S:
+            allowed = f"seconds that increase by at least {LEAST_KEY_STEP_S} from key to key: the previous has {previous.seconds:g}"
+            wrong.append((("path", number, "seconds"), following.seconds, allowed))
     if loop:
         for name in ("position", "target"):
             first, last = (_with_height(getattr(key, name, None)) for key in (keys[0], keys[-1]))
@@ -119,19 +120,19 @@ class MeshMotion(_Path):
     face: Literal["fixed", "along"] = "fixed"
 
     @model_validator(mode="after")
-    def _right_path(self) -> Self:
+    def _check_path(self) -> Self:
         wrong: list[tuple[KeyPath, object, str]] = []
         if self.path is None:
-            given = ("loop", "above", "face")
-            wrong = [((key,), getattr(self, key), "no value without a path") for key in given if key in self.model_fields_set]
+            path_keys = ("loop", "above", "face")
+            wrong = [((key,), getattr(self, key), "no value without a path") for key in path_keys if key in self.model_fields_set]
         else:
-            wrong = _wrong_keys(self.path, self.loop)
+            wrong = _key_errors(self.path, self.loop)
             if self.above == "sea":
                 for number, key in enumerate(self.path):
                     if len(key.position) == 2:
                         wrong.append((("path", number, "position"), key.position, "three numbers, with the height above the sea"))
         if wrong:
-            raise wrong_parts("motion", wrong)
+            raise parts_error("motion", wrong)
         return self
 
     @property
@@ -146,14 +147,14 @@ class LampMotion(_Path):
     path: Annotated[tuple[LampKey, ...], Field(max_length=MOST_PATH_KEYS)]
 
     @model_validator(mode="after")
-    def _right_path(self) -> Self:
-        wrong = _wrong_keys(self.path, self.loop)
+    def _check_path(self) -> Self:
+        wrong = _key_errors(self.path, self.loop)
         for number, key in enumerate(self.path):
             if tuple(name for name in ("position", "target") if getattr(key, name) is not None) != self.moved:
                 allowed = f"the keys of the first one: seconds, {', '.join(self.moved)}"
                 wrong.append((("path", number), key.model_dump(exclude_none=True), allowed))
         if wrong:
-            raise wrong_parts("motion", wrong)
+            raise parts_error("motion", wrong)
         return self
 
     @property

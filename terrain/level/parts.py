@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from skugga.terrain.level.model import MapPosition, Model, Position
-from skugga.terrain.level.motion import LampMotion, MeshMotion, wrong_parts
+from skugga.terrain.level.motion import LampMotion, MeshMotion, parts_error
 
 Units = Literal["m", "ft", "us-ft", "dm", "cm", "mm", "km", "yd", "fathom"]
 METRES_PER_UNIT: dict[Units, float] = {
@@ -32,29 +32,29 @@ Metres = Annotated[float, Field(gt=0, le=1e7)]
 PixelCount = Annotated[int, Field(ge=1, le=16384)]
 
 
-TIME_WORDS = "an ISO 8601 time with an offset, such as 2024-10-21T16:30:00-04:00"
+ALLOWED_TIMES = "an ISO 8601 time with an offset, such as 2024-10-21T16:30:00-04:00"
 """The allowed times, for messages."""
 
 _TIME = re.compile(r"[-0-9:.,+TtWZz ]+")
 
 
-def time_of(text: str) -> datetime:
+def parse_time(text: str) -> datetime:
     """Return the time of an ISO 8601 text, with an offset or without.
 
     Raises ``ValueError``, also for characters that no time has, since ``fromisoformat`` ignores some.
     """
     if not _TIME.fullmatch(text):
-        raise ValueError(TIME_WORDS)
+        raise ValueError(ALLOWED_TIMES)
     return datetime.fromisoformat(text)
 
 
-def _without_nul(name: str) -> str:
+def _check_no_nul(name: str) -> str:
     if "\0" in name:
         raise PydanticCustomError("file", "a file name without NUL characters")
     return name
 
 
-FileName = Annotated[str, Field(min_length=1), AfterValidator(_without_nul)]
+FileName = Annotated[str, Field(min_length=1), AfterValidator(_check_no_nul)]
 
 
 class FlatGround(Model):
@@ -74,7 +74,7 @@ class GeneratedGround(Model):
     seed: int = Field(default=0, ge=0, le=2**32 - 1)
 
     @model_validator(mode="after")
-    def _bounded(self) -> GeneratedGround:
+    def _check_cell(self) -> GeneratedGround:
         if not 4 <= min(self.size) / self.cell <= max(self.size) / self.cell <= 8192:
             raise PydanticCustomError("cell", "a cell size that gives 4 to 8192 cells per side")
         return self
@@ -105,7 +105,7 @@ class Terrain(Model):
 
     @field_validator("bounds")
     @classmethod
-    def _ordered(cls, value: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
+    def _check_bounds(cls, value: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
         if value is not None:
             west, south, east, north = value
             if not (-180 <= west < east <= 540 and -90 <= south < north <= 90):
@@ -113,7 +113,7 @@ class Terrain(Model):
         return value
 
     @model_validator(mode="after")
-    def _one_ground(self) -> Terrain:
+    def _check_ground(self) -> Terrain:
         if (self.source is not None) + (self.flat is not None) + (self.generate is not None) != 1:
             raise PydanticCustomError("ground", "exactly one of source, flat and generate")
         if self.nodata is not None and self.source is None:
@@ -141,12 +141,12 @@ class Weather(Model):
     snow: bool = False
 
     @property
-    def drifts(self) -> bool:
+    def has_drifting_clouds(self) -> bool:
         """Whether clouds cover a part of the sky, and so drift with the level's clock."""
         return 0.0 < self.cloud_cover < 1.0
 
     @property
-    def overcast(self) -> bool:
+    def is_overcast(self) -> bool:
         """Whether clouds cover the whole sky, which blocks direct sunlight."""
         return self.cloud_cover >= 1.0
 
@@ -156,7 +156,7 @@ StyleName = Literal["natural", "swiss", "grey", "urban", "analysis"]
 
 SlopeExaggeration = Annotated[float, Field(ge=0.1, le=20)]
 
-RAMP_WORDS = "pairs of a height in metres and a colour such as '#b3c2a2', with increasing heights"
+ALLOWED_RAMPS = "pairs of a height in metres and a colour such as '#b3c2a2', with increasing heights"
 
 
 class StyleSpec(Model):
@@ -172,14 +172,14 @@ class StyleSpec(Model):
 
     @field_validator("ramp")
     @classmethod
-    def _rising(cls, value: tuple[tuple[float, str], ...] | None) -> tuple[tuple[float, str], ...] | None:
+    def _check_ramp(cls, value: tuple[tuple[float, str], ...] | None) -> tuple[tuple[float, str], ...] | None:
         if value is None:
             return None
         heights = [height for height, _ in value]
         if not value or not all(low < high for low, high in pairwise(heights)):
-            raise PydanticCustomError("ramp", RAMP_WORDS)
+            raise PydanticCustomError("ramp", ALLOWED_RAMPS)
         if not all(re.fullmatch("#[0-9a-fA-F]{6}", color) for _, color in value):
-            raise PydanticCustomError("ramp", RAMP_WORDS)
+            raise PydanticCustomError("ramp", ALLOWED_RAMPS)
         return value
 
 
@@ -203,13 +203,13 @@ class ForestSpec(Model):
 
     @field_validator("height", "crown")
     @classmethod
-    def _range(cls, value: tuple[float, float] | str | None) -> tuple[float, float] | str | None:
+    def _check_range(cls, value: tuple[float, float] | str | None) -> tuple[float, float] | str | None:
         if isinstance(value, tuple) and not 0.1 <= value[0] <= value[1] <= 150:
             raise PydanticCustomError("range", "an attribute name, or [minimum, maximum] in metres from 0.1 to 150")
         return value
 
 
-BESIDE_PATH = "no value together with a path in motion, which sets it"
+EXCLUDED_BY_PATH = "no value together with a path in motion, which sets it"
 
 
 class MeshSpec(Model):
@@ -239,19 +239,19 @@ class MeshSpec(Model):
 
     @field_validator("color")
     @classmethod
-    def _share(cls, value: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+    def _check_color(cls, value: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
         if value is not None and not all(0 <= v <= 1 for v in value):
             raise PydanticCustomError("color", "three numbers from 0 to 1")
         return value
 
     @model_validator(mode="after")
-    def _one_mesh(self) -> MeshSpec:
+    def _check_mesh(self) -> MeshSpec:
         if (self.source is None) == (self.generate is None):
             raise PydanticCustomError("mesh", "either source or generate")
         if (self.surface is None) != (self.ground is None):
             raise PydanticCustomError("mesh", "surface and ground together, because heights are surface minus ground")
         if self.at is not None and self.motion is not None and self.motion.path is not None:
-            raise wrong_parts("mesh", [(("at",), self.at, BESIDE_PATH)])
+            raise parts_error("mesh", [(("at",), self.at, EXCLUDED_BY_PATH)])
         return self
 
     @property
@@ -280,23 +280,23 @@ class SunSpec(Model):
 
     @field_validator("time", mode="before")
     @classmethod
-    def _moment(cls, value: Any) -> Any:
+    def _validate_time(cls, value: Any) -> Any:
         if isinstance(value, str):
             try:
-                return time_of(value)
+                return parse_time(value)
             except ValueError:
-                raise PydanticCustomError("time", TIME_WORDS) from None
+                raise PydanticCustomError("time", ALLOWED_TIMES) from None
         if value is not None and not isinstance(value, datetime):
-            raise PydanticCustomError("time", TIME_WORDS)
+            raise PydanticCustomError("time", ALLOWED_TIMES)
         return value
 
     @model_validator(mode="after")
-    def _one_way(self) -> SunSpec:
+    def _check_angles(self) -> SunSpec:
         angles = (self.azimuth is not None) + (self.altitude is not None)
         if (self.time is None) == (angles == 0) or angles == 1:
             raise PydanticCustomError("sun", "either time, or azimuth and altitude")
         if self.time is not None and self.time.tzinfo is None:
-            raise PydanticCustomError("sun", TIME_WORDS)
+            raise PydanticCustomError("sun", ALLOWED_TIMES)
         return self
 
 
@@ -322,17 +322,17 @@ class LightSpec(Model):
 
     @field_validator("color")
     @classmethod
-    def _share(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+    def _check_color(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
         if not all(0 <= v <= 1 for v in value):
             raise PydanticCustomError("color", "three numbers from 0 to 1")
         return value
 
     @model_validator(mode="after")
-    def _aimed(self) -> LightSpec:
+    def _check_target(self) -> LightSpec:
         moved = () if self.motion is None else self.motion.moved
-        twice = [name for name in moved if getattr(self, name) is not None]
-        if twice:
-            raise wrong_parts("light", [((name,), getattr(self, name), BESIDE_PATH) for name in twice])
+        duplicates = [name for name in moved if getattr(self, name) is not None]
+        if duplicates:
+            raise parts_error("light", [((name,), getattr(self, name), EXCLUDED_BY_PATH) for name in duplicates])
         if self.position is None and "position" not in moved:
             raise ValidationError.from_exception_data("light", [InitErrorDetails(type="missing", loc=("position",), input=None)])
         if (self.kind == "spot") != (self.target is not None or "target" in moved):
@@ -357,7 +357,7 @@ class MapSpec(Model):
 
     @field_validator("bounds")
     @classmethod
-    def _ordered(cls, value: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
+    def _check_bounds(cls, value: tuple[float, float, float, float] | None) -> tuple[float, float, float, float] | None:
         if value is not None and not (value[0] < value[2] and value[1] < value[3]):
             raise PydanticCustomError("bounds", "west < east and south < north")
         return value
@@ -377,7 +377,7 @@ class PerspectiveSpec(Model):
     size: tuple[PixelCount, PixelCount] = (1280, 1024)
 
     @model_validator(mode="after")
-    def _apart(self) -> PerspectiveSpec:
+    def _check_eye(self) -> PerspectiveSpec:
         if self.eye == self.target:
             raise PydanticCustomError("target", "a target other than the eye")
         return self

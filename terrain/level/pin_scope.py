@@ -28,7 +28,7 @@ class PinScope(Model):
 
     @field_validator("sun_altitude_deg")
     @classmethod
-    def _not_empty(cls, value: Range | None) -> Range | None:
+    def _check_range(cls, value: Range | None) -> Range | None:
         if value is not None and not value[0] < value[1]:
             raise PydanticCustomError("range", "[minimum, maximum] in degrees, with minimum < maximum")
         return value
@@ -51,28 +51,30 @@ class PinScope(Model):
         return sun_altitude_deg is not None and self.sun_altitude_deg[0] <= sun_altitude_deg <= self.sun_altitude_deg[1]
 
 
-def suns_left(scopes: Sequence[PinScope], number: int, view: str) -> list[Range]:
+def uncovered_altitudes(scopes: Sequence[PinScope], number: int, view: str) -> list[Range]:
     """Return the ranges of sun altitudes in which a pin applies to a view and no earlier pin does."""
     scope = scopes[number]
     if scope.view not in (None, view):
         return []
-    left = [scope.sun_altitude_deg or ALL_SUNS]
+    uncovered = [scope.sun_altitude_deg or ALL_SUNS]
     for earlier in scopes[:number]:
         if earlier.view in (None, view):
             low, high = earlier.sun_altitude_deg or ALL_SUNS
-            left = [part for a, b in left for part in ((a, min(b, low)), (max(a, high), b)) if part[0] < part[1]]
-    return left
+            uncovered = [part for a, b in uncovered for part in ((a, min(b, low)), (max(a, high), b)) if part[0] < part[1]]
+    return uncovered
 
 
-def never_taken(scopes: Sequence[PinScope], views: Collection[str], sunless: bool) -> Iterator[tuple[int, list[int]]]:
+def covered_pins(scopes: Sequence[PinScope], views: Collection[str], sunless: bool) -> Iterator[tuple[int, list[int]]]:
     """Yield the number of each pin that earlier pins cover completely, with the numbers of those earlier pins.
 
     ``sunless`` says whether the level may have no sun.
     """
     for number, scope in enumerate(scopes):
         own = [view for view in views if scope.view in (None, view)]
-        before = [each for each, earlier in enumerate(scopes[:number]) if scope.view is None or earlier.view in (None, scope.view)]
-        dark = [view for view in own if sunless and scope.sun_altitude_deg is None]
-        left_in_the_dark = any(not any(scopes[each].holds(view, None) for each in before) for view in dark)
-        if not left_in_the_dark and not any(suns_left(scopes, number, view) for view in own):
-            yield number, before
+        earlier_pins = [
+            each for each, earlier in enumerate(scopes[:number]) if scope.view is None or earlier.view in (None, scope.view)
+        ]
+        sunless_views = [view for view in own if sunless and scope.sun_altitude_deg is None]
+        applies_without_sun = any(not any(scopes[each].holds(view, None) for each in earlier_pins) for view in sunless_views)
+        if not applies_without_sun and not any(uncovered_altitudes(scopes, number, view) for view in own):
+            yield number, earlier_pins

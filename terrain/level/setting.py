@@ -23,7 +23,7 @@ _FORMS: dict[str, Any] = {"Literal": Literal, "Annotated": Annotated}
 
 
 @dataclass(frozen=True)
-class Requests:
+class RequestOptions:
     """Metadata of a field, in its ``Annotated``, if requests accept it differently from other fields.
 
     Attributes
@@ -70,19 +70,19 @@ class Setting:
     @property
     def words(self) -> tuple[str | int, ...]:
         """The literal values of the type."""
-        return tuple(word for part in _parts(self.type) if get_origin(part) is Literal for word in get_args(part))
+        return tuple(word for part in _union_parts(self.type) if get_origin(part) is Literal for word in get_args(part))
 
     @property
     def plain_type(self) -> type:
         """``int``, ``float`` or ``str``: the type for a command line, which has no unions."""
         found = {type(word) for word in self.words}
-        found |= {_bare(part) for part in _parts(self.type) if get_origin(part) is not Literal}
+        found |= {_unannotated(part) for part in _union_parts(self.type) if get_origin(part) is not Literal}
         return found.pop() if len(found) == 1 else str
 
     @property
     def allowed(self) -> str:
         """The allowed values in words, such as ``16, 24 or 32`` or ``64 to 8192``; empty if all are."""
-        *most, last = (*map(str, self.words), *filter(None, map(_span, _parts(self.type)))) or ("",)
+        *most, last = (*map(str, self.words), *filter(None, map(_limits_text, _union_parts(self.type)))) or ("",)
         return f"{', '.join(most)} or {last}" if most else last
 
 
@@ -90,24 +90,24 @@ def settings_of(model: type[BaseModel], front_end: FrontEnd) -> list[Setting]:
     """Return the settings that a front end accepts, in the order of their fields."""
     found = []
     for name, field in model.model_fields.items():
-        requests = next((each for each in field.metadata if isinstance(each, Requests)), Requests())
+        requests = next((each for each in field.metadata if isinstance(each, RequestOptions)), RequestOptions())
         if front_end in requests.take:
-            found.append(Setting(name, field.description or "", _asked(field, requests), tuple(field.examples or ())))
+            found.append(Setting(name, field.description or "", _request_type(field, requests), tuple(field.examples or ())))
     return found
 
 
-def _asked(field: FieldInfo, requests: Requests) -> Any:
+def _request_type(field: FieldInfo, requests: RequestOptions) -> Any:
     """Return a field's type without ``auto`` and ``None``, with its limits."""
     if requests.spelt is not None:
         return requests.spelt
-    asked = field.annotation if requests.auto else reduce(or_, _named(field.annotation))
-    limits = [each for each in field.metadata if not isinstance(each, Requests)]
-    return _FORMS["Annotated"][(asked, *limits)] if limits else asked
+    request_type = field.annotation if requests.auto else reduce(or_, _without_auto(field.annotation))
+    limits = [each for each in field.metadata if not isinstance(each, RequestOptions)]
+    return _FORMS["Annotated"][(request_type, *limits)] if limits else request_type
 
 
-def _named(annotation: Any) -> Iterator[Any]:
+def _without_auto(annotation: Any) -> Iterator[Any]:
     """Yield the parts of a type without ``auto`` and ``None``."""
-    for part in _parts(annotation):
+    for part in _union_parts(annotation):
         if get_origin(part) is Literal:
             words = tuple(word for word in get_args(part) if word != AUTO)
             if words:
@@ -116,20 +116,20 @@ def _named(annotation: Any) -> Iterator[Any]:
             yield part
 
 
-def _parts(annotation: Any) -> Iterator[Any]:
+def _union_parts(annotation: Any) -> Iterator[Any]:
     """Yield the parts of a union, or the type itself."""
     if get_origin(annotation) in (Union, UnionType):
         for part in get_args(annotation):
-            yield from _parts(part)
+            yield from _union_parts(part)
     else:
         yield annotation
 
 
-def _bare(annotation: Any) -> Any:
+def _unannotated(annotation: Any) -> Any:
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 
-def _span(annotation: Any) -> str:
+def _limits_text(annotation: Any) -> str:
     """Return the limits of a number in words; empty if it has none."""
     limits: dict[str, Any] = {}
     for each in _limits(get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()):

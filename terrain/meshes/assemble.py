@@ -53,7 +53,7 @@ class Placement:
 
 
 @dataclass(frozen=True, eq=False)
-class _Spot:
+class _Pose:
     """An earth-fixed point, and a rotation (3, 3) from local east, north, up, or from a body's axes, to earth-fixed axes."""
 
     point_earth_m: np.ndarray
@@ -76,19 +76,19 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
         where = f"{loaded.path}: meshes.{number}"
         from_footprints = spec.source is not None and not is_model(spec.source)
         if from_footprints:
-            _refuse(spec, MODEL_KEYS, where, "does not apply to footprints, whose file holds their positions")
-            found = buildings(spec, where, loaded, world, elevation)
-            standing = stand_ins = found.bodies
-            notes += [f"{spec.source}: {note}" for note in found.notes]
-            warnings += [f"{spec.source}: {warning}" for warning in found.warnings]
+            _reject_keys(spec, MODEL_KEYS, where, "does not apply to footprints, whose file holds their positions")
+            placed_buildings = buildings(spec, where, loaded, world, elevation)
+            placed = stand_ins = placed_buildings.bodies
+            notes += [f"{spec.source}: {note}" for note in placed_buildings.notes]
+            warnings += [f"{spec.source}: {warning}" for warning in placed_buildings.warnings]
         else:
-            _refuse(spec, FOOTPRINT_KEYS, where, "applies to footprints only")
+            _reject_keys(spec, FOOTPRINT_KEYS, where, "applies to footprints only")
             motion = _motion(spec, where, place)
-            spots = _spots(spec, motion, where, place)
-            standing = stand_ins = _stood(_bodies(spec, loaded), spec, spots, motion)
+            poses = _poses(spec, motion, where, place)
+            placed = stand_ins = _place_bodies(_bodies(spec, loaded), spec, poses, motion)
             if spec.caster is not None:
-                stand_ins = _stood([read_model(loaded.resolve(spec.caster))], spec, spots, motion)
-        seen += standing
+                stand_ins = _place_bodies([read_model(loaded.resolve(spec.caster))], spec, poses, motion)
+        seen += placed
         casting += stand_ins
         are_buildings += [from_footprints] * len(stand_ins)
     visible_bodies = tuple(seen)
@@ -98,14 +98,14 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
 
 def solids(placement: Placement, seconds: float) -> Solids:
     """Return the triangles of placed bodies at a time of the clock."""
-    on_paths: dict[int, _Spot] = {}
-    seen = [_stance(placed, seconds, on_paths) for placed in placement.seen]
-    vertices, triangles = _gathered(seen)
-    same = placement.casting is placement.seen
-    casting = seen if same else [_stance(placed, seconds, on_paths) for placed in placement.casting]
-    caster_vertices, caster_triangles = (vertices, triangles) if same else _gathered(casting)
+    pose_cache: dict[int, _Pose] = {}
+    seen = [_pose(placed, seconds, pose_cache) for placed in placement.seen]
+    vertices, triangles = _concatenate(seen)
+    shares_casters = placement.casting is placement.seen
+    casting = seen if shares_casters else [_pose(placed, seconds, pose_cache) for placed in placement.casting]
+    caster_vertices, caster_triangles = (vertices, triangles) if shares_casters else _concatenate(casting)
     counts = [len(body.triangles) for body, _ in seen]
-    normals = [body.corner_normals() @ spot.earth_from_enu.T.astype(np.float32) for body, spot in seen]
+    normals = [body.corner_normals() @ pose.earth_from_enu.T.astype(np.float32) for body, pose in seen]
     return Solids(
         vertices_earth_m=vertices,
         triangles=triangles,
@@ -118,27 +118,27 @@ def solids(placement: Placement, seconds: float) -> Solids:
     )
 
 
-def _gathered(bodies: Sequence[tuple[Body, _Spot]]) -> tuple[np.ndarray, np.ndarray]:
+def _concatenate(bodies: Sequence[tuple[Body, _Pose]]) -> tuple[np.ndarray, np.ndarray]:
     """Return earth-fixed vertices (n, 3) and triangles (m, 3) int32 of all bodies."""
     first = np.cumsum([0, *(len(body.vertices_m) for body, _ in bodies)])
-    vertices = [spot.point_earth_m + body.vertices_m @ spot.earth_from_enu.T for body, spot in bodies]
+    vertices = [pose.point_earth_m + body.vertices_m @ pose.earth_from_enu.T for body, pose in bodies]
     triangles = [body.triangles + np.int32(first_vertex) for (body, _), first_vertex in zip(bodies, first, strict=False)]
     return np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3), np.int32), *triangles])
 
 
-def _stance(placed: PlacedBody, seconds: float, on_paths: dict[int, _Spot]) -> tuple[Body, _Spot]:
-    """Return a body with its origin and rotation at a time of the clock. ``on_paths`` caches them by the id of the motion."""
+def _pose(placed: PlacedBody, seconds: float, pose_cache: dict[int, _Pose]) -> tuple[Body, _Pose]:
+    """Return a body with its origin and rotation at a time of the clock. ``pose_cache`` caches them by the id of the motion."""
     motion = placed.motion
     if motion is None:
-        return placed.body, _Spot(placed.origin_earth_m, placed.earth_from_body)
+        return placed.body, _Pose(placed.origin_earth_m, placed.earth_from_body)
     if motion.path is None:
-        return placed.body, _Spot(placed.origin_earth_m, placed.earth_from_body @ turn_about_up(motion.turn_deg(seconds)))
-    spot = on_paths.get(id(motion))
-    if spot is None:
+        return placed.body, _Pose(placed.origin_earth_m, placed.earth_from_body @ turn_about_up(motion.turn_deg(seconds)))
+    pose = pose_cache.get(id(motion))
+    if pose is None:
         point, up, _ = motion.path.at_second(seconds)
         axes = motion.path.place.world.earth_from_enu(point, up) @ turn_about_up(motion.turn_deg(seconds))
-        spot = on_paths[id(motion)] = _Spot(point, axes)
-    return placed.body, spot
+        pose = pose_cache[id(motion)] = _Pose(point, axes)
+    return placed.body, pose
 
 
 def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
@@ -154,10 +154,10 @@ def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
     return [Body(body.vertices_m, body.triangles, srgb_albedo(spec.color)) for body in bodies]
 
 
-def _stood(bodies: list[Body], spec: MeshSpec, spots: list[_Spot], motion: BodyMotion | None) -> list[PlacedBody]:
+def _place_bodies(bodies: list[Body], spec: MeshSpec, poses: list[_Pose], motion: BodyMotion | None) -> list[PlacedBody]:
     """Return the bodies placed at every spot. All copies of a body share one ``Body``."""
     turned = [transformed(body, turn_deg=spec.turn, scale=spec.scale) for body in bodies]
-    return [PlacedBody(body, spot.point_earth_m, spot.earth_from_enu, motion) for spot in spots for body in turned]
+    return [PlacedBody(body, pose.point_earth_m, pose.earth_from_enu, motion) for pose in poses for body in turned]
 
 
 def _motion(spec: MeshSpec, where: str, place: Geolocator) -> BodyMotion | None:
@@ -173,16 +173,16 @@ def _motion(spec: MeshSpec, where: str, place: Geolocator) -> BodyMotion | None:
     return BodyMotion(motion.spin, path, motion.face == "along")
 
 
-def _spots(spec: MeshSpec, motion: BodyMotion | None, where: str, place: Geolocator) -> list[_Spot]:
+def _poses(spec: MeshSpec, motion: BodyMotion | None, where: str, place: Geolocator) -> list[_Pose]:
     """Return the spots of a level's mesh before it moves; for a mesh on a path, that of its first key."""
     if motion is None or motion.path is None:
         places: Sequence[MapPosition | None] = spec.places or [None]
-        return [_spot(position, where, place) for position in places]
+        return [_ground_pose(position, where, place) for position in places]
     point, up, _ = motion.path.at_second(float(motion.path.plan.times_s[0]))
-    return [_Spot(point, place.world.earth_from_enu(point, up))]
+    return [_Pose(point, place.world.earth_from_enu(point, up))]
 
 
-def _spot(at: MapPosition | None, where: str, place: Geolocator) -> _Spot:
+def _ground_pose(at: MapPosition | None, where: str, place: Geolocator) -> _Pose:
     """Return the ground at a position of a level (``None``: the anchor). Raises ``LevelError`` off the terrain."""
     world, elevation = place.world, place.elevation
     x, y = (world.anchor_x, world.anchor_y) if at is None else place.xy(at)
@@ -192,10 +192,10 @@ def _spot(at: MapPosition | None, where: str, place: Geolocator) -> _Spot:
             raise LevelError.missing(f"{where}.at", f"Set a position on the terrain: within {place.extent}")
         raise LevelError(f"{where}.at", at, f"a position on the terrain: within {place.extent}")
     point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
-    return _Spot(point + height * up, world.earth_from_enu(point, up))
+    return _Pose(point + height * up, world.earth_from_enu(point, up))
 
 
-def _refuse(spec: MeshSpec, keys: tuple[str, ...], where: str, problem: str) -> None:
+def _reject_keys(spec: MeshSpec, keys: tuple[str, ...], where: str, problem: str) -> None:
     for key in keys:
         if key in spec.model_fields_set:
             raise LevelError(f"{where}.{key}", Problem(problem), "Remove this key")

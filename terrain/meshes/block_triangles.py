@@ -16,9 +16,9 @@ def block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray
     Vertices [0, n) are the roof's, [n, 2 n) the floor's. Rings have the building on their left.
     """
     count = int(ring_ends[-1])
-    here, following = np.arange(count), _following(ring_ends)
+    corner, next_corner = np.arange(count), _next_corners(ring_ends)
     walls = np.concatenate([
-        np.column_stack([here + count, following + count, following]), np.column_stack([here + count, following, here])
+        np.column_stack([corner + count, next_corner + count, next_corner]), np.column_stack([corner + count, next_corner, corner])
     ])  # fmt: skip
     triangles = np.concatenate([roof, walls, roof[:, ::-1] + count]).astype(np.int32)
     return triangles, np.arange(len(triangles)) < len(roof)
@@ -38,55 +38,55 @@ def roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
     Every edge of every ring is the edge of one triangle.
     """
     clipped = mapbox_earcut.triangulate_float64(np.ascontiguousarray(xy), ring_ends.astype(np.uint32)).reshape(-1, 3)
-    triangles = _facing_up(clipped.astype(np.int32), xy)
+    triangles = _counter_clockwise(clipped.astype(np.int32), xy)
     # Ear clipping skips corners that become collinear on the way. Without them the roof and the walls would have gaps.
     missing = len(xy) + 2 * (len(ring_ends) - 1) - 2 - len(triangles)  # n corners and h holes give n + 2 h - 2 triangles
-    return triangles if missing <= 0 else _with_skipped(triangles, xy, ring_ends, missing)
+    return triangles if missing <= 0 else _insert_skipped_corners(triangles, xy, ring_ends, missing)
 
 
-def _with_skipped(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing: int) -> np.ndarray:
+def _insert_skipped_corners(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing: int) -> np.ndarray:
     """Split up to ``missing`` triangles at a corner of the polygon that lies inside one of their edges; return all triangles."""
     from scipy.spatial import cKDTree
 
-    rings = set(zip(range(len(xy)), _following(ring_ends).tolist(), strict=True))
-    corners, near = triangles.tolist(), cKDTree(xy)
+    rings = set(zip(range(len(xy)), _next_corners(ring_ends).tolist(), strict=True))
+    corners, tree = triangles.tolist(), cKDTree(xy)
     edges = {edge: k for k, (i, j, l) in enumerate(corners) for edge in ((i, j), (j, l), (l, i))}
-    waiting = deque(edges)
-    while waiting and missing:
-        a, b = waiting.popleft()
+    queue = deque(edges)
+    while queue and missing:
+        a, b = queue.popleft()
         if (a, b) not in edges or (b, a) in edges or (a, b) in rings:
             continue
         k = edges[a, b]
         c = next(corner for corner in corners[k] if corner not in (a, b))
         along = xy[b] - xy[a]
-        around = np.array(sorted(near.query_ball_point((xy[a] + xy[b]) / 2, 0.5 * np.hypot(*along) * (1 + 1e-9))))
-        off = xy[around] - xy[a]
+        nearby = np.array(sorted(tree.query_ball_point((xy[a] + xy[b]) / 2, 0.5 * np.hypot(*along) * (1 + 1e-9))))
+        off = xy[nearby] - xy[a]
         share = off @ along / (along @ along)
-        aside = np.abs(along[0] * off[:, 1] - along[1] * off[:, 0]) / (along @ along)
-        between = around[(aside < 1e-9) & (share > 1e-9) & (share < 1 - 1e-9) & (around != c)].tolist()
-        if not between:
+        distance = np.abs(along[0] * off[:, 1] - along[1] * off[:, 0]) / (along @ along)
+        inner_corners = nearby[(distance < 1e-9) & (share > 1e-9) & (share < 1 - 1e-9) & (nearby != c)].tolist()
+        if not inner_corners:
             continue
-        middle, new = between[0], len(corners)
+        middle, new = inner_corners[0], len(corners)
         del edges[a, b]
         corners[k] = [a, middle, c]
         corners.append([middle, b, c])
         edges |= {(a, middle): k, (middle, c): k, (c, a): k, (middle, b): new, (b, c): new, (c, middle): new}
-        waiting += [(a, middle), (middle, b)]
+        queue += [(a, middle), (middle, b)]
         missing -= 1
     return np.array(corners, np.int32)
 
 
-def _following(ring_ends: np.ndarray) -> np.ndarray:
+def _next_corners(ring_ends: np.ndarray) -> np.ndarray:
     """Return the index (n,) of the next corner of the ring for each corner."""
     following = np.arange(1, int(ring_ends[-1]) + 1)
     following[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
     return following
 
 
-def _facing_up(triangles: np.ndarray, xy: np.ndarray) -> np.ndarray:
+def _counter_clockwise(triangles: np.ndarray, xy: np.ndarray) -> np.ndarray:
     """Return the triangles that have an area, all counter-clockwise."""
     a, b, c = np.moveaxis(xy[triangles], 1, 0)
-    twice = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    turned = np.where(twice[:, None] < 0, triangles[:, ::-1], triangles)
+    double_area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    turned = np.where(double_area[:, None] < 0, triangles[:, ::-1], triangles)
     longest = np.max([np.einsum("ij,ij->i", side, side) for side in (b - a, c - b, a - c)], axis=0)
-    return turned[np.abs(twice) > 1e-12 * longest]
+    return turned[np.abs(double_area) > 1e-12 * longest]

@@ -83,8 +83,8 @@ class Body:
             return False
         start, end = a.ravel(), np.roll(a, -1, axis=1).ravel()
         span = int(a.max()) + 1
-        there, back = np.sort(start * span + end), np.sort(end * span + start)
-        return bool((there == back).all() and (np.diff(there) > 0).all())
+        forward, reverse = np.sort(start * span + end), np.sort(end * span + start)
+        return bool((forward == reverse).all() and (np.diff(forward) > 0).all())
 
     @property
     def volume_m3(self) -> float:
@@ -112,17 +112,17 @@ class BodyMotion:
         Counter-clockwise about the up axis, degrees per second.
     path
         Path of the body's origin.
-    along
+    faces_along_path
         Whether the body's south side faces along the path.
     """
 
     spin_deg_per_s: float = 0.0
     path: GroundPath | None = None
-    along: bool = False
+    faces_along_path: bool = False
 
     def turn_deg(self, seconds: float) -> float:
         """Return the body's rotation at a time of the clock, degrees counter-clockwise."""
-        heading = 180.0 - self.path.azimuth_deg(seconds) if self.along and self.path is not None else 0.0
+        heading = 180.0 - self.path.azimuth_deg(seconds) if self.faces_along_path and self.path is not None else 0.0
         return heading + self.spin_deg_per_s * seconds
 
 
@@ -150,7 +150,7 @@ class PlacedBody:
 
 def box(size_m: VectorLike, centre_m: VectorLike = (0.0, 0.0, 0.0), albedo: VectorLike | None = None) -> Body:
     """Return a box of ``size_m`` (east, north, up) around its centre; ``albedo`` is linear."""
-    return _made(trimesh.creation.box(extents=size_m), centre_m, albedo)
+    return _body_of_mesh(trimesh.creation.box(extents=size_m), centre_m, albedo)
 
 
 def transformed(body: Body, offset_m: Sequence[float] = (0.0, 0.0, 0.0), turn_deg: float = 0.0, scale: float = 1.0) -> Body:
@@ -167,7 +167,7 @@ def turn_about_up(turn_deg: float) -> np.ndarray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _made(mesh: trimesh.Trimesh, centre_m: VectorLike, albedo: VectorLike | None) -> Body:
+def _body_of_mesh(mesh: trimesh.Trimesh, centre_m: VectorLike, albedo: VectorLike | None) -> Body:
     color = srgb_albedo(NEUTRAL) if albedo is None else np.asarray(albedo, np.float32)
     return Body(np.asarray(mesh.vertices) + np.asarray(centre_m, np.float64), np.asarray(mesh.faces), color)
 
@@ -188,16 +188,16 @@ def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
     first = np.concatenate([[0], np.cumsum(np.bincount(places.ravel(), minlength=count))])
     # A tolerance, so that rounding does not separate faces at exactly the crease angle.
     least_cos = np.cos(np.radians(min(crease_deg, 180.0))) - 1e-9
-    normals = _smoothed(body.vertices_m[body.triangles], corner_of_place, first, least_cos, MOST_SMOOTHED)
+    normals = _smoothed_normals(body.vertices_m[body.triangles], corner_of_place, first, least_cos, MOST_SMOOTHED)
     normals.flags.writeable = False
     return normals
 
 
 @compiled
-def _smoothed(corners, corner_of_place, first, least_cos, most):
+def _smoothed_normals(corners, corner_of_place, first, least_cos, max_corners):
     """Return angle-weighted means of face normals within the crease angle, per corner (m, 3, 3).
 
-    Corners at a vertex with more than ``most`` corners get the normal of their own face.
+    Corners at a vertex with more than ``max_corners`` corners get the normal of their own face.
     """
     count = corners.shape[0]
     normal = np.empty((count, 3))
@@ -212,7 +212,7 @@ def _smoothed(corners, corner_of_place, first, least_cos, most):
             angle[t, k] = np.arctan2(np.sqrt((n * n).sum()), ((q - p) * (r - p)).sum())
     out = np.empty((count, 3, 3), np.float32)
     for place in range(first.shape[0] - 1):
-        crowded = first[place + 1] - first[place] > most
+        crowded = first[place + 1] - first[place] > max_corners
         for i in range(first[place], first[place + 1]):
             t, k = corner_of_place[i] // 3, corner_of_place[i] % 3
             if crowded:

@@ -22,7 +22,7 @@ from pyproj import CRS
 from pyproj.exceptions import ProjError
 
 from skugga.terrain.errors import LevelError, SourceError
-from skugga.terrain.geo.vectors import Features, VectorLayer, attribute_names, check_divided, read_features, vector_layer
+from skugga.terrain.geo.vectors import Features, VectorLayer, attribute_names, check_divided_size, read_features, vector_layer
 from skugga.terrain.geo.world import World, transformer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.geolocate import bounds_text
@@ -31,13 +31,13 @@ from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.parts import MeshSpec, RoofForm
 from skugga.terrain.meshes.block_triangles import block_triangles, roof_triangles, sloped_triangles
 from skugga.terrain.meshes.body import Body, PlacedBody, srgb_albedo
-from skugga.terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes, spelt_like
+from skugga.terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes, matching_attribute
 from skugga.terrain.meshes.roofs import roof_over
 
 FOOTING_M = 0.5
 """Depth of walls below the lowest ground of their outline."""
 
-HIGHEST_M = 1000.0
+MAX_BUILDING_HEIGHT_M = 1000.0
 """Maximum height of a building. A larger number is an error, perhaps of the unit."""
 
 OUTLINE_TOLERANCE_M = 0.001
@@ -61,10 +61,10 @@ LEAST_MEASURED_M = 1.5
 LEAST_KNOWN = 0.5
 """Minimum share of a footprint with valid ground to be placed, or with a valid surface to be measured."""
 
-MAX_FLOATING = 0.5
+MAX_WRONG_FLOOR_SHARE = 0.5
 """Maximum share of a file's floors not below their roofs that count as single errors of the data."""
 
-SAMPLES_A_SIDE = 256
+MAX_SAMPLES_PER_SIDE = 256
 """Maximum number of cells of a surface raster that are sampled along one side of a footprint."""
 
 Transform = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -131,57 +131,64 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
     tops, bases = _attributes(spec, where, source, layer)
     features = read_features(source, elevation.crs, (*tops, *bases), layer=layer)
     polygons, feature = _outlines(features, world)
-    said = footprint_heights(features, tops, bases)
+    attribute_heights = footprint_heights(features, tops, bases)
     if tops:
-        height = said.top_m[feature]
+        height = attribute_heights.top_m[feature]
     elif spec.height is not None:
         height = np.full(len(polygons), float(spec.height))
     else:
         height = _surface_heights(polygons, elevation.crs, _raster(loaded, spec.surface), _raster(loaded, spec.ground))
-    for i in np.flatnonzero(height > HIGHEST_M)[:1]:
+    for i in np.flatnonzero(height > MAX_BUILDING_HEIGHT_M)[:1]:
         raise SourceError.over_limit(
-            source, f"a height of {height[i]:.6g} m at {features.label(feature[i])}", f"{HIGHEST_M:.0f} m", "Check its unit"
+            source,
+            f"a height of {height[i]:.6g} m at {features.label(feature[i])}",
+            f"{MAX_BUILDING_HEIGHT_M:.0f} m",
+            "Check its unit",
         )
     with np.errstate(invalid="ignore"):
-        tall = height >= LEAST_MEASURED_M if spec.surface else height > 0.0
-    if not tall.any():
+        has_height = height >= LEAST_MEASURED_M if spec.surface else height > 0.0
+    if not has_height.any():
         named = " or ".join(f"'{name}'" for name in tops)
         wanted = f"a height above 0 in the attribute {named}"
         if spec.surface:
             wanted = f"{LEAST_MEASURED_M} m of {spec.surface} above {spec.ground}"
         raise SourceError(source, f"no footprint with {wanted}", "Check the heights and their unit")
-    base, floor_warnings = _floors(np.where(tall, said.base_m[feature], 0.0), height, features, feature)
-    kept = tall & ~(height <= base)
-    key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[kept]]
-    mean_m, lowest_m = _ground_along(polygons[kept], elevation)
-    standing = np.isfinite(mean_m)
-    if not standing.any():
+    base, floor_warnings = _floors(np.where(has_height, attribute_heights.base_m[feature], 0.0), height, features, feature)
+    selected = has_height & ~(height <= base)
+    key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[selected]]
+    mean_m, lowest_m = _ground_along(polygons[selected], elevation)
+    on_terrain = np.isfinite(mean_m)
+    if not on_terrain.any():
         spans = [bounds_text(bounds, elevation.crs) for bounds in (shapely.total_bounds(features.geometry), elevation.bounds)]
         raise SourceError(source, f"footprints within {spans[0]}", f"Use footprints on the terrain: within {spans[1]}")
-    floor_m = np.where(base[kept] > 0.0, mean_m + base[kept], lowest_m - FOOTING_M)
+    floor_m = np.where(base[selected] > 0.0, mean_m + base[selected], lowest_m - FOOTING_M)
     blocks = _Blocks(
-        polygons[kept][standing], key[standing], (mean_m + height[kept])[standing], floor_m[standing],
-        (height - base)[kept][standing],
+        polygons[selected][on_terrain], key[on_terrain], (mean_m + height[selected])[on_terrain], floor_m[on_terrain],
+        (height - base)[selected][on_terrain],
     )  # fmt: skip
-    bodies = _extruded(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color), spec.roof)
+    bodies = _extrude(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color), spec.roof)
     left_out = {
-        "without a height": np.count_nonzero(~tall), "off the terrain": np.count_nonzero(~standing),
-        "without a geometry": features.dropped,
+        "without a height": np.count_nonzero(~has_height), "off the terrain": np.count_nonzero(~on_terrain),
+        "without a geometry": features.omitted_count,
     }  # fmt: skip
-    notes = [*layer.notes, *said.notes, *(f"{count} footprints left out: {why}" for why, count in left_out.items() if count)]
-    return Buildings(bodies, tuple(notes), (*said.warnings, *floor_warnings))
+    notes = [
+        *layer.notes,
+        *attribute_heights.notes,
+        *(f"{count} footprints left out: {why}" for why, count in left_out.items() if count),
+    ]
+    return Buildings(bodies, tuple(notes), (*attribute_heights.warnings, *floor_warnings))
 
 
 def _floors(base: np.ndarray, height: np.ndarray, features: Features, feature: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the heights (n,) of floors above the ground, metres, and a warning about those that are not below their roofs.
 
-    Returns 0 for all if a share of more than ``MAX_FLOATING`` is wrong. Such heights have another reference, such as the sea.
+    Returns 0 for all if a share of more than ``MAX_WRONG_FLOOR_SHARE`` is wrong. Such heights have another reference, such as the sea.
     """
     wrong = np.flatnonzero((base > 0.0) & (height <= base))
     if not len(wrong):
         return base, []
     first, count = features.label(feature[wrong[0]]), np.count_nonzero(base)
-    if len(wrong) > MAX_FLOATING * count:
+    if len(wrong) > MAX_WRONG_FLOOR_SHARE * count:
         said = f"{len(wrong)} of {count} floors are not below their roofs, such as that of {first}"
         return np.zeros_like(base), [f"{said}. All heights of floors are ignored, and the buildings stand on the ground"]
     more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
@@ -195,7 +202,7 @@ def _attributes(spec: MeshSpec, where: str, source: str, layer: VectorLayer) -> 
     known = attribute_names(source, layer.name or 0)
     bases = base_attributes(known)
     if isinstance(spec.height, str):
-        return (spelt_like(spec.height, known),), bases
+        return (matching_attribute(spec.height, known),), bases
     if spec.height is not None or spec.surface is not None:
         return (), bases
     tops = height_attributes(known)
@@ -214,22 +221,22 @@ def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]
     """Return the simplified polygons (n,) of all features, exterior rings counter-clockwise, and the features (n,) of them."""
     parts, feature = shapely.get_parts(features.geometry, return_index=True)
     parts, part = shapely.get_parts(parts, return_index=True)  # multi-polygons inside collections
-    area = shapely.get_type_id(parts) == _POLYGON
-    if not area.any():
+    is_polygon = shapely.get_type_id(parts) == _POLYGON
+    if not is_polygon.any():
         kind = parts[0].geom_type
         raise SourceError(features.name, f"{kind} geometries", "Use polygons, or a model: .obj, .ply, .glb or .gltf")
-    parts, feature = parts[area], feature[part[area]]
+    parts, feature = parts[is_polygon], feature[part[is_polygon]]
     unit_m = DEGREE_M if world.crs.is_geographic else world.metres_per_unit
     # Normalized rings begin at an outermost point, which is a corner. Simplifying keeps the first point.
     parts = shapely.simplify(shapely.normalize(parts), OUTLINE_TOLERANCE_M / unit_m)
     corners = shapely.get_num_coordinates(parts)
-    for count, most, what in ((corners.max(), MOST_CORNERS, "a footprint"), (corners.sum(), MOST_CORNERS_OF_ALL, "footprints")):
-        if count > most:
-            raise SourceError.over_limit(features.name, f"{what} of {count} corners", str(most), "Simplify the outlines")
-    solid = shapely.area(parts) > (OUTLINE_TOLERANCE_M / unit_m) ** 2
-    if not solid.any():
+    for count, limit, what in ((corners.max(), MOST_CORNERS, "a footprint"), (corners.sum(), MOST_CORNERS_OF_ALL, "footprints")):
+        if count > limit:
+            raise SourceError.over_limit(features.name, f"{what} of {count} corners", str(limit), "Simplify the outlines")
+    has_area = shapely.area(parts) > (OUTLINE_TOLERANCE_M / unit_m) ** 2
+    if not has_area.any():
         raise SourceError(features.name, "only polygons without an area", "Use footprints with an area")
-    return shapely.orient_polygons(parts[solid], exterior_cw=False), feature[solid]
+    return shapely.orient_polygons(parts[has_area], exterior_cw=False), feature[has_area]
 
 
 def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground: Elevation) -> np.ndarray:
@@ -241,7 +248,7 @@ def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground:
         to_surface = _transform(crs, surface)
         top = np.full(len(polygons), np.nan)
         for i, polygon in enumerate(polygons):
-            under = surface.ground_m(*_cells_under(polygon, surface, to_surface))
+            under = surface.ground_m(*_sample_cells(polygon, surface, to_surface))
             if np.isfinite(under).mean() >= LEAST_KNOWN:
                 top[i] = np.nanpercentile(under, ROOF_PERCENTILE)
         outlines = shapely.transform(polygons, _transform(crs, ground), interleaved=False)
@@ -251,7 +258,7 @@ def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground:
         return heights
 
 
-def _cells_under(polygon: shapely.Polygon, raster: Elevation, to_raster: Transform) -> tuple[np.ndarray, np.ndarray]:
+def _sample_cells(polygon: shapely.Polygon, raster: Elevation, to_raster: Transform) -> tuple[np.ndarray, np.ndarray]:
     """Return coordinates x, y (n,), in a raster's CRS, of the centres of cells that sample a polygon, also off the raster.
 
     The cells are those with centres at least half a cell inside. Narrow buildings use all cells with centres inside, tiny ones a
@@ -266,7 +273,7 @@ def _cells_under(polygon: shapely.Polygon, raster: Elevation, to_raster: Transfo
 def _cells_inside(polygon: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns (n,) of the cells that sample a polygon in (row, col) coordinates."""
     low, high = np.ceil(polygon.bounds[:2]), np.floor(polygon.bounds[2:])
-    step = np.maximum(np.ceil((high - low + 1) / SAMPLES_A_SIDE), 1)
+    step = np.maximum(np.ceil((high - low + 1) / MAX_SAMPLES_PER_SIDE), 1)
     row, col = (v.ravel() for v in np.meshgrid(*(np.arange(*ends) for ends in zip(low, high + 1, step, strict=True))))
     for area in (polygon.buffer(-0.5), polygon):
         inside = shapely.contains_xy(area, row, col)
@@ -279,7 +286,7 @@ def _cells_inside(polygon: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
 def _transform(crs: CRS, raster: Elevation) -> Transform:
     """Return the transformation from ``crs`` to the raster's CRS. Raises ``SourceError`` if PROJ has none."""
     if raster.crs == crs or (raster.crs.is_engineering and crs.is_engineering):
-        return _unmoved
+        return _identity
     try:
         return transformer(crs, raster.crs).transform
     except ProjError:
@@ -287,7 +294,7 @@ def _transform(crs: CRS, raster: Elevation) -> Transform:
         raise SourceError(raster.name, problem, "Use a raster in another CRS") from None
 
 
-def _unmoved(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _identity(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
@@ -296,42 +303,46 @@ def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarra
 
     The mean is NaN if most of the polygon has no valid ground.
     """
-    corner, beside = elevation.xy(0, 0), elevation.xy(0, 1)
-    cell = float(np.hypot(corner[0] - beside[0], corner[1] - beside[1]))
-    check_divided(elevation.name, polygons, cell)
+    corner, next_cell = elevation.xy(0, 0), elevation.xy(0, 1)
+    cell = float(np.hypot(corner[0] - next_cell[0], corner[1] - next_cell[1]))
+    check_divided_size(elevation.name, polygons, cell)
     outer = shapely.segmentize(shapely.get_exterior_ring(polygons), cell)
     xy, ring = shapely.get_coordinates(outer, return_index=True)
     ground = elevation.filled_ground_m(xy[:, 0], xy[:, 1])
     middle, length = (ground[1:] + ground[:-1]) / 2, np.hypot(*np.diff(xy, axis=0).T)
-    known = (ring[1:] == ring[:-1]) & np.isfinite(middle)
+    valid = (ring[1:] == ring[:-1]) & np.isfinite(middle)
     total, total_length = (
-        np.bincount(ring[1:][known], weights=w[known], minlength=len(polygons)) for w in (middle * length, length)
+        np.bincount(ring[1:][valid], weights=w[valid], minlength=len(polygons)) for w in (middle * length, length)
     )
     mean = np.divide(total, total_length, out=np.full(len(polygons), np.nan), where=total_length > 0)
     for i in np.unique(ring[np.isnan(ground) & np.isfinite(mean[ring])]):  # polygons whose outline leaves the valid ground
-        if np.isfinite(elevation.filled_ground_m(*_cells_under(polygons[i], elevation, _unmoved))).mean() < LEAST_KNOWN:
+        if np.isfinite(elevation.filled_ground_m(*_sample_cells(polygons[i], elevation, _identity))).mean() < LEAST_KNOWN:
             mean[i] = np.nan
     return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
 
 
-def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None, form: RoofForm) -> list[PlacedBody]:
+def _extrude(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None, form: RoofForm) -> list[PlacedBody]:
     rings, polygon = shapely.get_rings(blocks.polygons, return_index=True)
     xy, ring = shapely.get_coordinates(rings, return_index=True)
-    kept = np.append(ring[1:] == ring[:-1], False)  # the last point of a ring repeats the first
-    xy, ring = xy[kept], ring[kept]
+    is_corner = np.append(ring[1:] == ring[:-1], False)  # the last point of a ring repeats the first
+    xy, ring = xy[is_corner], ring[is_corner]
     ground, up = world.ground(crs, xy[:, 0], xy[:, 1])
     ring_ends = np.cumsum(np.bincount(ring, minlength=len(rings)))
     start, first_ring, placed = 0, 0, []
     for i, (roof_m, base_m) in enumerate(zip(blocks.roof_m, blocks.base_m, strict=True)):
         last_ring = int(np.searchsorted(polygon, i, side="right"))
         ends = ring_ends[first_ring:last_ring]
-        here = slice(start, int(ends[-1]))
+        corner_slice = slice(start, int(ends[-1]))
         origin = ground[start] + base_m * up[start]
-        sloped = roof_over(ground[here] + base_m * up[here], blocks.height_m[i], form) if last_ring - first_ring == 1 else None
+        sloped = (
+            roof_over(ground[corner_slice] + base_m * up[corner_slice], blocks.height_m[i], form)
+            if last_ring - first_ring == 1
+            else None
+        )
         if sloped is None:
-            roof = roof_triangles(xy[here] - xy[start], ends - start)
+            roof = roof_triangles(xy[corner_slice] - xy[start], ends - start)
             triangles, is_roof = block_triangles(roof, ends - start)
-            vertices = np.concatenate([ground[here] + height * up[here] for height in (roof_m, base_m)]) - origin
+            vertices = np.concatenate([ground[corner_slice] + height * up[corner_slice] for height in (roof_m, base_m)]) - origin
         else:
             order = start + (sloped.first + np.arange(4)) % 4
             ridge, ridge_up = world.ground(crs, *(sloped.weights @ xy[order]).T)
@@ -343,7 +354,7 @@ def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None
         placed.append(
             PlacedBody(Body(vertices, triangles, np.where(is_roof[:, None], roof_albedo, wall_albedo)), origin, np.eye(3))
         )
-        start, first_ring = here.stop, last_ring
+        start, first_ring = corner_slice.stop, last_ring
     return placed
 
 

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 
 
-class FacesRound(NamedTuple):
+class NodeFaces(NamedTuple):
     """The faces around each of n nodes, in compressed form.
 
     Attributes
@@ -24,15 +24,15 @@ class FacesRound(NamedTuple):
     faces: np.ndarray
 
 
-def faces_round(nodes: int, triangles: np.ndarray) -> FacesRound:
+def node_faces(nodes: int, triangles: np.ndarray) -> NodeFaces:
     """Return the faces around each of ``nodes`` nodes of a mesh of triangles (m, 3)."""
-    return FacesRound(*_faces_round(nodes, triangles))
+    return NodeFaces(*_faces_round(nodes, triangles))
 
 
 def face_normals(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return unit normals (m, 3) float32 of triangles (m, 3) of positions (n, 3); 0 for triangles without an area."""
     out = np.zeros((len(triangles), 3), np.float32)
-    in_shares(len(triangles), _face_normals, position, triangles, out)
+    run_in_chunks(len(triangles), _face_normals, position, triangles, out)
     return out
 
 
@@ -48,10 +48,10 @@ def _face_normals(first, last, position, triangles, out):
             out[t, 0], out[t, 1], out[t, 2] = x / length, y / length, z / length
 
 
-def smooth_normals(faces: np.ndarray, around: FacesRound) -> np.ndarray:
+def smooth_normals(faces: np.ndarray, around: NodeFaces) -> np.ndarray:
     """Return unit normals (n, 3) float32 at nodes: the mean of the normals (m, 3) of the faces around each."""
     out = np.zeros((len(around.start) - 1, 3), np.float32)
-    in_shares(len(out), _smooth_normals, faces, around, out)
+    run_in_chunks(len(out), _smooth_normals, faces, around, out)
     return out
 
 
@@ -68,15 +68,15 @@ def _smooth_normals(first, last, faces, around, out):
 
 
 def creases(
-    position: np.ndarray, faces: np.ndarray, triangles: np.ndarray, around: FacesRound, limit: float, wanted: np.ndarray
+    position: np.ndarray, faces: np.ndarray, triangles: np.ndarray, around: NodeFaces, limit: float, selected: np.ndarray
 ) -> np.ndarray:
-    """Return the upward bend (m,) float32 of a mesh around its faces; 0 for faces outside the mask ``wanted`` (m,).
+    """Return the upward bend (m,) float32 of a mesh around its faces; 0 for faces outside the mask ``selected`` (m,).
 
     The bend is the largest distance, below ``limit``, between a face's unit normal and those of faces that share a node with it and
     rise above its plane. A downward bend does not count: seen from the light it lies behind the plane, so it cannot occlude it.
     """
     out = np.zeros(len(triangles), np.float32)
-    in_shares(len(triangles), _creases, position, faces, triangles, around, limit, wanted, out)
+    run_in_chunks(len(triangles), _creases, position, faces, triangles, around, limit, selected, out)
     return out
 
 
@@ -99,9 +99,9 @@ def _faces_round(nodes, triangles):
 
 
 @compiled
-def _creases(first, last, position, faces, triangles, around, limit, wanted, out):
+def _creases(first, last, position, faces, triangles, around, limit, selected, out):
     for t in range(first, last):
-        if not wanted[t]:
+        if not selected[t]:
             continue
         worst = 0.0
         for k in range(3):

@@ -30,7 +30,7 @@ MAX_MODEL_TRIANGLES = 5_000_000
 
 MOST_TEXTURE_PIXELS = 8192 * 8192
 
-ALLOWED = "Use a model with triangles: .obj, .ply, .glb or .gltf"
+_REMEDY = "Use a model with triangles: .obj, .ply, .glb or .gltf"
 
 
 def is_model(source: str) -> bool:
@@ -46,13 +46,13 @@ def read_model(source: str) -> Body:
     """
     check_file(source)
     if not Path(source).exists():
-        raise SourceError(source, "no such file", ALLOWED)
-    parts = _loaded(source)
+        raise SourceError(source, "no such file", _REMEDY)
+    parts = _load_parts(source)
     if sum(len(part.faces) for part in parts) > MAX_MODEL_TRIANGLES:
         raise _too_many_triangles(source, sum(len(part.faces) for part in parts))
     for part in parts:
         if not 0 <= part.faces.min() <= part.faces.max() < len(part.vertices):
-            raise SourceError(source, "triangles refer to missing vertices", ALLOWED)
+            raise SourceError(source, "triangles refer to missing vertices", _REMEDY)
         _check_texture(source, part)
     y_up = source.lower().endswith(Y_UP_SUFFIXES)
     vertices, triangles, albedo, count = [], [], [], 0
@@ -67,14 +67,14 @@ def read_model(source: str) -> Body:
         raise SourceError(source, "vertices that are not finite", "Use finite coordinates")
     if y_up:
         points = points[:, (0, 2, 1)] * (1.0, -1.0, 1.0)
-    body = _without_repeats(Body(points, np.concatenate(triangles), np.concatenate(albedo)))
+    body = _without_duplicates(Body(points, np.concatenate(triangles), np.concatenate(albedo)))
     if not len(body.triangles):
-        raise SourceError(source, "no triangle with an area", ALLOWED)
+        raise SourceError(source, "no triangle with an area", _REMEDY)
     lowest = body.vertices_m[body.triangles][..., 2].min()
     return Body(body.vertices_m - (0.0, 0.0, lowest), body.triangles, body.albedo)
 
 
-def _without_repeats(body: Body) -> Body:
+def _without_duplicates(body: Body) -> Body:
     """Return a body without repeated triangles: of identical triangles in the same orientation only the first remains.
 
     Looks for them only if more corners meet at a vertex than on any usual surface.
@@ -89,7 +89,7 @@ def _without_repeats(body: Body) -> Body:
     return body if len(kept) == len(places) else Body(body.vertices_m, body.triangles[kept], body.albedo[kept])
 
 
-def _loaded(source: str) -> list[trimesh.Trimesh]:
+def _load_parts(source: str) -> list[trimesh.Trimesh]:
     """Return the parts of a file that have triangles, as trimesh reads them. Suppresses trimesh's warnings and log messages."""
     _check_counts(source)
     log = logging.getLogger("trimesh")
@@ -98,7 +98,7 @@ def _loaded(source: str) -> list[trimesh.Trimesh]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(source, process=False, allow_remote=False)
-            copies = sum(len(scene.geometry[name].faces) for name in _drawn(scene))
+            copies = sum(len(scene.geometry[name].faces) for name in _instance_names(scene))
             if copies > MAX_MODEL_TRIANGLES:
                 raise _too_many_triangles(source, copies)
             parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
@@ -106,11 +106,11 @@ def _loaded(source: str) -> list[trimesh.Trimesh]:
         raise
     except Exception as error:  # trimesh's readers raise errors of any kind for broken files
         reason = " ".join(str(error).replace(source, "the file").split()) or type(error).__name__
-        raise SourceError(source, f"cannot be read ({reason[:80]})", ALLOWED) from None
+        raise SourceError(source, f"cannot be read ({reason[:80]})", _REMEDY) from None
     finally:
         log.disabled = disabled
     if not parts:
-        raise SourceError(source, "no triangle", ALLOWED)
+        raise SourceError(source, "no triangle", _REMEDY)
     return parts
 
 
@@ -132,7 +132,7 @@ def _too_many_triangles(source: str, count: int) -> SourceError:
     return SourceError.over_limit(source, f"{count} triangles", str(MAX_MODEL_TRIANGLES), "Simplify the model")
 
 
-def _drawn(scene: trimesh.Scene) -> list[str]:
+def _instance_names(scene: trimesh.Scene) -> list[str]:
     """Return the names of the meshes of a scene, one for each instance."""
     names = [str(scene.graph[node][1]) for node in scene.graph.nodes_geometry]
     return [name for name in names if isinstance(scene.geometry.get(name), trimesh.Trimesh)]
@@ -152,7 +152,7 @@ def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:
 
     In glTF files colour factors are linear and textures sRGB (glTF 2.0, section 3.9.2). In other files all colours are sRGB.
     """
-    decoded = _share if linear else _srgb_bytes
+    decoded = _linear_from_bytes if linear else _linear_from_srgb_bytes
     faces, visual = np.asarray(part.faces), part.visual
     if isinstance(visual, ColorVisuals) and visual.kind == "vertex":
         return decoded(visual.vertex_colors)[faces].mean(axis=1)
@@ -171,12 +171,12 @@ def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:
         return np.broadcast_to(color, faces.shape)
     texel = trimesh.visual.color.uv_to_color(np.asarray(visual.uv)[faces].mean(axis=1), image)
     tint = decoded(factor) if pbr and factor is not None else np.ones(3, np.float32)
-    return _srgb_bytes(texel) * tint
+    return _linear_from_srgb_bytes(texel) * tint
 
 
-def _share(color: np.ndarray) -> np.ndarray:
+def _linear_from_bytes(color: np.ndarray) -> np.ndarray:
     return np.asarray(color)[..., :3].astype(np.float32) / np.float32(255)
 
 
-def _srgb_bytes(color: np.ndarray) -> np.ndarray:
+def _linear_from_srgb_bytes(color: np.ndarray) -> np.ndarray:
     return srgb_albedo(np.asarray(color)[..., :3] / 255.0)

@@ -39,7 +39,7 @@ PITCHED = np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5], [1, 2, 5], [3, 0
 TENT = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
 """Triangles of four slopes to an apex, vertex 4."""
 
-ON_SLOPES = 4
+PITCHED_SLOPE_TRIANGLES = 4
 """Number of triangles of ``PITCHED`` on its slopes. The others are gables or hips."""
 
 
@@ -84,13 +84,13 @@ def roof_over(corners_m: np.ndarray, height_m: float, form: RoofForm) -> Roof | 
         return None
     pairs = (length[:2] + length[2:]) / 2.0
     first, width, long = (0, pairs[1], pairs[0]) if pairs[0] >= pairs[1] else (1, pairs[0], pairs[1])
-    house = HOUSE_WIDTH_M[0] <= width <= HOUSE_WIDTH_M[1] and long <= HOUSE_LENGTH_M and height_m <= HOUSE_HEIGHT_M
-    if form == "auto" and not house:
+    is_house = HOUSE_WIDTH_M[0] <= width <= HOUSE_WIDTH_M[1] and long <= HOUSE_LENGTH_M and height_m <= HOUSE_HEIGHT_M
+    if form == "auto" and not is_house:
         return None
     rise_m = float(min(SLOPE * width / 2.0, MOST_RISE * height_m))
-    inwards = 0.5 * width / long if form == "hipped" else 0.0
-    if inwards > APEX_SHARE:
+    ridge_inset = 0.5 * width / long if form == "hipped" else 0.0
+    if ridge_inset > APEX_SHARE:
         return Roof(first, np.full((1, 4), 0.25), TENT, len(TENT), rise_m)
-    near, far = np.array([0.5, 0.0, 0.0, 0.5]), np.array([0.0, 0.5, 0.5, 0.0])
-    weights = np.stack([near + (far - near) * inwards, far + (near - far) * inwards])
-    return Roof(first, weights, PITCHED, len(PITCHED) if form == "hipped" else ON_SLOPES, rise_m)
+    start, end = np.array([0.5, 0.0, 0.0, 0.5]), np.array([0.0, 0.5, 0.5, 0.0])
+    weights = np.stack([start + (end - start) * ridge_inset, end + (start - end) * ridge_inset])
+    return Roof(first, weights, PITCHED, len(PITCHED) if form == "hipped" else PITCHED_SLOPE_TRIANGLES, rise_m)

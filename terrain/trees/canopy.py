@@ -20,9 +20,9 @@ from rasterio.windows import Window
 from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.axes import axes_of
-from skugga.terrain.geo.vectors import between, same_coordinates
+from skugga.terrain.geo.vectors import same_coordinates, transformer_between
 from skugga.terrain.ground.georeference import check_cells, check_geotransform
-from skugga.terrain.ground.open_raster import dataset_with_masks
+from skugga.terrain.ground.open_raster import open_masked_raster
 from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
 from skugga.terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
@@ -58,7 +58,7 @@ _SQUARE_M, _SQUARE_CELLS = 1000.0, 16.0
 
 
 @dataclass(frozen=True, eq=False)
-class Crowns:
+class CanopyTrees:
     """Trees of a canopy.
 
     Attributes
@@ -95,7 +95,7 @@ class Canopy:
     ----------
     name
         The source.
-    least_m
+    min_height_m
         Minimum height of trees, metres: lower canopy is ignored.
     crs
         The raster's CRS.
@@ -108,12 +108,12 @@ class Canopy:
         If the source is no raster, is damaged, or has no CRS or an unknown unit.
     """
 
-    least_m = TREE_HEIGHT_M
+    min_height_m = TREE_HEIGHT_M
 
     def __init__(self, source: str) -> None:
         self.name = source
         try:
-            self._dataset = dataset = dataset_with_masks(source)
+            self._dataset = dataset = open_masked_raster(source)
             crs = CRS.from_user_input(dataset.crs.to_wkt()) if dataset.crs else None
         except (RasterioError, CRSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
@@ -152,7 +152,7 @@ class Canopy:
             raise SourceError(self.name, "a part of it cannot be read", "Use an undamaged file") from None
         values = data.filled(0).astype(np.float64) * self._scale + self._offset
         with np.errstate(invalid="ignore"):
-            tree = ~np.ma.getmaskarray(data) & (values >= self.least_m) & (values <= MAX_HEIGHT_M)
+            tree = ~np.ma.getmaskarray(data) & (values >= self.min_height_m) & (values <= MAX_HEIGHT_M)
         out[top - row0 : bottom - row0, left - col0 : right - col0] = np.where(tree, values, 0.0)
         return out
 
@@ -160,12 +160,12 @@ class Canopy:
         """Return coordinates in ``crs`` of fractional cells (integers are cell centres); infinite where ``crs`` is undefined."""
         gt, row, col = self._transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
         x, y = gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
-        return (x, y) if same_coordinates(self.crs, crs) else between(self.name, self.crs, crs).transform(x, y)
+        return (x, y) if same_coordinates(self.crs, crs) else transformer_between(self.name, self.crs, crs).transform(x, y)
 
     def cell_of(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return fractional rows and columns of coordinates in ``crs``; infinite where the raster's CRS is undefined."""
         if not same_coordinates(self.crs, crs):
-            x, y = between(self.name, self.crs, crs, back=True).transform(x, y)
+            x, y = transformer_between(self.name, self.crs, crs, back=True).transform(x, y)
         gt, inverse = self._transform, ~self._transform
         if self.crs.is_geographic:
             middle = gt.c + 0.5 * (gt.a * self.cols + gt.b * self.rows)
@@ -197,7 +197,7 @@ class Canopy:
         crown_of: Callable[[np.ndarray], np.ndarray],
         window_m: tuple[float, float],
         seed: int,
-    ) -> Iterator[Crowns]:
+    ) -> Iterator[CanopyTrees]:
         """Yield the trees of a window of the canopy, in parts.
 
         Trees at least as high as the detection limit of the cells are treetops. Lower trees and shrubs are scattered at the density
@@ -224,20 +224,20 @@ class Canopy:
             If the raster cannot be read, or its CRS cannot be transformed into ``crs``.
         """
         to_m, cell_m = self._metres_from_cells(crs, unit_m, window), self.cell_m(crs, unit_m, window)
-        shown_m = _shown_m(cell_m, crown_of, self.least_m)
-        if self.least_m < TREE_HEIGHT_M:
+        shown_m = _detection_limit_m(cell_m, crown_of, self.min_height_m)
+        if self.min_height_m < TREE_HEIGHT_M:
             shown_m = max(shown_m, TREE_HEIGHT_M)  # hedges and vines have no single tops
-        if shown_m > self.least_m:
+        if shown_m > self.min_height_m:
             side = max(_SQUARE_M, _SQUARE_CELLS * cell_m) / unit_m
             for square in self._squares(crs, window, side):
-                yield from self._scattered(crs, unit_m, square, crown_of, shown_m, seed)
+                yield from self._scatter_low_trees(crs, unit_m, square, crown_of, shown_m, seed)
         if np.isinf(shown_m):
             return
         for row, col, height_m in self.tops(to_m, window, window_m):
             x, y = self.xy(crs, row, col)
             there = np.isfinite(x) & np.isfinite(y) & (height_m >= shown_m)
             places = Places(x[there], y[there], point_keys(seed, x[there] * unit_m, y[there] * unit_m))
-            yield Crowns(places, height_m[there])
+            yield CanopyTrees(places, height_m[there])
 
     def tops(
         self, metres_from_cells: np.ndarray, window: CellWindow, window_m: tuple[float, float]
@@ -256,13 +256,13 @@ class Canopy:
                 row, col = np.nonzero(is_top)
                 yield row + top, col + left, heights[row + halo, col + halo].astype(np.float64)
 
-    def sample(self, window: CellWindow, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return rows, columns and heights (n,) of the cells of a window, subsampled to at most ``most`` a side.
+    def sample(self, window: CellWindow, max_side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return rows, columns and heights (n,) of the cells of a window, subsampled to at most ``max_side`` a side.
 
         Heights are in metres, NaN for nodata. Raises ``SourceError`` if a part of the raster cannot be read.
         """
         rows, cols = window.row1 - window.row0, window.col1 - window.col0
-        shape = min(rows, most), min(cols, most)
+        shape = min(rows, max_side), min(cols, max_side)
         try:
             part = Window(window.col0, window.row0, cols, rows)
             data = self._dataset.read(1, window=part, out_shape=shape, masked=True)
@@ -311,7 +311,7 @@ class Canopy:
             for i in range(west, east + 1):
                 yield shapely.box(i * side, j * side, (i + 1) * side, (j + 1) * side)
 
-    def _scattered(
+    def _scatter_low_trees(
         self,
         crs: CRS,
         unit_m: float,
@@ -319,27 +319,27 @@ class Canopy:
         crown_of: Callable[[np.ndarray], np.ndarray],
         below_m: float,
         seed: int,
-    ) -> Iterator[Crowns]:
+    ) -> Iterator[CanopyTrees]:
         """Yield scattered trees of the canopy below a height in a square: a lattice for each height class.
 
         The density of a lattice is that of a closed canopy of the class's crowns.
         """
         west, south, _, _ = square.bounds
-        origin, step, heights = self._straightened(crs, square)
+        origin, step, heights = self._linear_map(crs, square)
         heights = np.where(heights < below_m, heights, 0.0)
-        edges_m = _height_classes(crown_of, self.least_m)
+        edges_m = _height_classes(crown_of, self.min_height_m)
         present = np.unique(np.searchsorted(edges_m, heights[heights > 0], side="right") - 1)
         for number in present.tolist():
-            least, most = edges_m[number : number + 2]
-            crown_m = crown_of(np.sqrt([least * most]))[0]
+            low_m, high_m = edges_m[number : number + 2]
+            crown_m = crown_of(np.sqrt([low_m * high_m]))[0]
             p = scatter_trees(square, PACKING * HECTARE_M2 / crown_m**2, seed + number, unit_m)
             row, col = np.rint(origin[:, None] + step @ np.stack([p.x - west, p.y - south])).astype(np.int64)
             inside = (row >= 0) & (row < heights.shape[0]) & (col >= 0) & (col < heights.shape[1])
             height = np.where(inside, heights[np.where(inside, row, 0), np.where(inside, col, 0)], 0.0)
-            kept = (height >= least) & (height < most)
-            yield Crowns(Places(p.x[kept], p.y[kept], p.key[kept]), height[kept])
+            in_class = (height >= low_m) & (height < high_m)
+            yield CanopyTrees(Places(p.x[in_class], p.y[in_class], p.key[in_class]), height[in_class])
 
-    def _straightened(self, crs: CRS, square: shapely.Polygon) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _linear_map(self, crs: CRS, square: shapely.Polygon) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a linear map from a square to cells, and the heights of the window of these cells.
 
         Returns
@@ -377,18 +377,18 @@ def room_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
     return cKDTree(points).query(points, k=NEIGHBOURS + 1, workers=-1)[0][:, 1:].mean(axis=1) * unit_m
 
 
-def _shown_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray], least_m: float) -> float:
+def _detection_limit_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> float:
     """Return the minimum height of trees that can be detected in cells of a size: 0 for all trees, infinite for none."""
-    heights = np.geomspace(least_m, MAX_HEIGHT_M, 1000)
+    heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
     hidden = crown_of(heights) < CROWN_CELLS * cell_m
     if cell_m > COARSE_CELL_M or hidden.all():
         return np.inf
     return float(heights[hidden][-1]) if hidden.any() else 0.0
 
 
-def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], least_m: float) -> np.ndarray:
+def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], min_height_m: float) -> np.ndarray:
     """Return the edges of height classes, metres. Within a class crown diameters grow by at most a factor of sqrt(2)."""
-    heights = np.geomspace(least_m, MAX_HEIGHT_M, 1000)
+    heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
     octave = np.floor(2.0 * np.log2(crown_of(heights) / crown_of(heights[:1])))
     first = np.flatnonzero(np.diff(octave, prepend=-1.0) > 0)
     return np.append(heights[first], np.nextafter(MAX_HEIGHT_M, np.inf))

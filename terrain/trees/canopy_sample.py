@@ -28,7 +28,7 @@ SURFACE_ABOVE_M = (-5.0, 100.0)
 
 SURFACE_SHARE = 0.95
 
-RISING_M, RISE = 3.0, (0.7, 1.3)
+MIN_GROUND_STD_M, ABOVE_SEA_SLOPE = 3.0, (0.7, 1.3)
 """Minimum standard deviation of the ground's heights for a regression, and slopes that mean heights above sea level.
 
 Heights above sea level rise with the ground, metre by metre.
@@ -37,7 +37,7 @@ Heights above sea level rise with the ground, metre by metre.
 LEAST_ABOVE_SEA_M = 30.0
 """Minimum 5th percentile of heights above sea level over flatter ground: all canopies have gaps with shrubs in them."""
 
-MIN_PLACES = 20
+MIN_CELLS = 20
 """Minimum number of cells with both heights for the test."""
 
 
@@ -78,21 +78,23 @@ class CanopyCells:
         """Whether the canopy is mostly shrubs, not only undergrowth of trees."""
         return self.low > LOW_SHARE * (self.low + self.tall)
 
-    def left_out(self, least_m: float) -> str:
+    def left_out(self, min_height_m: float) -> str:
         """Return a text that lists the shares of cells without trees."""
         shares = {
             f"lower than {SHRUB_HEIGHT_M:g} m": self.bare,
             f"of {SHRUB_HEIGHT_M:g} m to {TREE_HEIGHT_M:g} m (set least_height to include them)": self.low
-            if least_m == TREE_HEIGHT_M
+            if min_height_m == TREE_HEIGHT_M
             else 0.0,
             "without a height": self.unknown,
             f"higher than {MAX_HEIGHT_M:g} m": self.absurd,
         }
         said = [f"{100.0 * share:.3g} % {why}" for why, share in shares.items() if share]
-        return ", ".join([*said, *([] if least_m in (SHRUB_HEIGHT_M, TREE_HEIGHT_M) else [f"all lower than {least_m:g} m"])])
+        return ", ".join(
+            [*said, *([] if min_height_m in (SHRUB_HEIGHT_M, TREE_HEIGHT_M) else [f"all lower than {min_height_m:g} m"])]
+        )
 
 
-def cells_of(heights_m: np.ndarray) -> CanopyCells:
+def height_class_shares(heights_m: np.ndarray) -> CanopyCells:
     """Return the shares by height class of heights (n,), NaN for nodata."""
     edges = (heights_m < SHRUB_HEIGHT_M, heights_m < TREE_HEIGHT_M, heights_m <= MAX_HEIGHT_M, heights_m > MAX_HEIGHT_M)
     unknown, *upto = (float(np.mean(each)) for each in (np.isnan(heights_m), *edges))
@@ -102,17 +104,17 @@ def cells_of(heights_m: np.ndarray) -> CanopyCells:
 
 def check_above_ground(source: str, heights_m: np.ndarray, ground_m: np.ndarray) -> None:
     """Raise ``SourceError`` if canopy heights (n,) are heights above sea level, like the ground heights (n,) at the same cells."""
-    known = np.isfinite(heights_m) & np.isfinite(ground_m)
-    if known.sum() < MIN_PLACES:
+    valid = np.isfinite(heights_m) & np.isfinite(ground_m)
+    if valid.sum() < MIN_CELLS:
         return
-    heights_m, ground_m = heights_m[known], ground_m[known]
+    heights_m, ground_m = heights_m[valid], ground_m[valid]
     above_m = heights_m - ground_m
     share = np.mean((above_m >= SURFACE_ABOVE_M[0]) & (above_m <= SURFACE_ABOVE_M[1]))
     if share < SURFACE_SHARE:
         return
-    if np.std(ground_m) >= RISING_M:
+    if np.std(ground_m) >= MIN_GROUND_STD_M:
         rise = np.cov(ground_m, heights_m)[0, 1] / np.var(ground_m, ddof=1)
-        above_sea = RISE[0] <= rise <= RISE[1]
+        above_sea = ABOVE_SEA_SLOPE[0] <= rise <= ABOVE_SEA_SLOPE[1]
     else:
         above_sea = np.percentile(heights_m, 5.0) >= LEAST_ABOVE_SEA_M
     if above_sea:

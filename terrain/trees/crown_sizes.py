@@ -6,10 +6,10 @@ import numpy as np
 
 from skugga.terrain.level.parts import Species
 from skugga.terrain.trees.foliage import TREE_VARIANTS
-from skugga.terrain.trees.scatter import shares
+from skugga.terrain.trees.scatter import uniform_numbers
 
-HEIGHT, CROWN, SPECIES, LOOK, TURN, SPREAD = range(6)
-"""Streams of random numbers (``skugga.terrain.trees.scatter.shares``)."""
+HEIGHT, CROWN, SPECIES, VARIANT, TURN, SPREAD = range(6)
+"""Streams of random numbers (``skugga.terrain.trees.scatter.uniform_numbers``)."""
 
 CROWN_M: dict[str, tuple[float, float]] = {"conifer": (1.0, 0.2), "broadleaf": (1.0, 0.3)}
 """Usual crown diameter: metres, and metres per metre of height.
@@ -22,33 +22,33 @@ CROWN_SPREAD = 0.15
 """Maximum deviation of a crown's diameter from the usual one, relative."""
 
 
-def looks_of(key: np.ndarray, species: Species) -> np.ndarray:
+def random_variants(key: np.ndarray, species: Species) -> np.ndarray:
     """Return random variants uint8 (n,) of a species, indices into ``TREE_VARIANTS``. Half of a ``mixed`` stand are conifers."""
     kinds = {
         kind: np.array([n for n, variant in enumerate(TREE_VARIANTS) if variant.species == kind], np.uint8) for kind in CROWN_M
     }
-    share = shares(key, LOOK)
+    share = uniform_numbers(key, VARIANT)
     drawn = {kind: looks[(share * len(looks)).astype(int)] for kind, looks in kinds.items()}
     if species != "mixed":
         return drawn[species]
-    return np.where(shares(key, SPECIES) < 0.5, drawn["conifer"], drawn["broadleaf"])
+    return np.where(uniform_numbers(key, SPECIES) < 0.5, drawn["conifer"], drawn["broadleaf"])
 
 
-def line_of(lines: dict[str, tuple[float, float]], species: Species) -> tuple[float, float]:
+def species_line(lines: dict[str, tuple[float, float]], species: Species) -> tuple[float, float]:
     """Return the metres, and metres per metre of height, of a species. ``mixed`` is the mean of both species."""
     of_species = list(lines.values()) if species == "mixed" else [lines[species]]
     base, slope = np.mean(of_species, axis=0).tolist()
     return base, slope
 
 
-def own_crown_m(height_m: np.ndarray, variant: np.ndarray, share: np.ndarray) -> np.ndarray:
+def random_crown_m(height_m: np.ndarray, variant: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Return crown diameters float64 (n,), metres.
 
     A diameter is the usual one of the species, times the variant's crown-to-height ratio relative to the mean of the species, times
     a random deviation by ``share`` (n,) in [0, 1).
     """
     mean_ratio = {kind: np.mean([k.crown_to_height for k in TREE_VARIANTS if k.species == kind]) for kind in CROWN_M}
-    base, slope, wide = np.array([(*CROWN_M[k.species], k.crown_to_height / mean_ratio[k.species]) for k in TREE_VARIANTS]).T[
-        :, variant
-    ]
-    return (base + slope * height_m) * wide * (1.0 + CROWN_SPREAD * (2.0 * share - 1.0))
+    base, slope, width_ratio = np.array(
+        [(*CROWN_M[k.species], k.crown_to_height / mean_ratio[k.species]) for k in TREE_VARIANTS]
+    ).T[:, variant]
+    return (base + slope * height_m) * width_ratio * (1.0 + CROWN_SPREAD * (2.0 * share - 1.0))

@@ -11,8 +11,8 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled
 from skugga.terrain.errors import InputError
 from skugga.terrain.srgb import linear_of_srgb, srgb_of_linear
+from skugga.terrain.trees.cached_pictures import cached_pictures
 from skugga.terrain.trees.foliage_paint import Clumped, Whorled, paint
-from skugga.terrain.trees.kept_pictures import kept_pictures
 
 THRESHOLD = 0.5  # alpha test: points with at least this alpha are opaque
 TEXTURE_PX = 256
@@ -59,7 +59,7 @@ class Foliage:
     levels: tuple[np.ndarray, ...]
 
 
-_KINDS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
+_VARIANT_MODELS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
     (
         TreeVariant("spruce", "conifer", 0.2, 0.3),
         Whorled(
@@ -237,10 +237,10 @@ _KINDS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
         ),
     ),
 )
-TREE_VARIANTS: tuple[TreeVariant, ...] = tuple(variant for variant, _ in _KINDS)
+TREE_VARIANTS: tuple[TreeVariant, ...] = tuple(variant for variant, _ in _VARIANT_MODELS)
 
 
-PAINTED_BY = tuple(Path(__file__).parent / name for name in ("foliage.py", "foliage_paint.py", "../srgb.py"))
+PAINTER_FILES = tuple(Path(__file__).parent / name for name in ("foliage.py", "foliage_paint.py", "../srgb.py"))
 """Source files that determine the pictures (part of the cache key)."""
 
 OUTLINE_CELLS = 16
@@ -250,14 +250,14 @@ OUTLINE_CELLS = 16
 @cached("process", 256 * MIB)
 def foliage() -> Foliage:
     """Return the pictures of ``TREE_VARIANTS``, painted once. They are the same on each machine."""
-    return Foliage(kept_pictures(_painted, PAINTED_BY))
+    return Foliage(cached_pictures(_painted, PAINTER_FILES))
 
 
 def _painted() -> tuple[np.ndarray, ...]:
     layers = [
-        coverage_mips(_texture(view, stands), THRESHOLD)
-        for seed, (_, model) in enumerate(_KINDS)
-        for view, stands in zip(paint(model, seed, TEXTURE_PX), (True, False), strict=True)
+        coverage_mips(_texture(view, has_stem), THRESHOLD)
+        for seed, (_, model) in enumerate(_VARIANT_MODELS)
+        for view, has_stem in zip(paint(model, seed, TEXTURE_PX), (True, False), strict=True)
     ]
     return tuple(np.stack(level) for level in zip(*layers, strict=True))
 
@@ -275,8 +275,8 @@ def leaf_outlines() -> np.ndarray:
     layers, side, _ = alpha.shape
     cells = alpha.reshape(layers, OUTLINE_CELLS, side // OUTLINE_CELLS, OUTLINE_CELLS, -1).max(axis=(2, 4)) >= THRESHOLD * 255
     outlines = []
-    for held in cells:
-        row, col = np.nonzero(held)
+    for is_opaque in cells:
+        row, col = np.nonzero(is_opaque)
         ends = [(col + right, OUTLINE_CELLS - row - down) for right in (0, 1) for down in (0, 1)]
         corners = np.concatenate([np.stack(end, axis=1) for end in ends]) / OUTLINE_CELLS
         outlines.append(corners[ConvexHull(corners).vertices])
@@ -320,27 +320,27 @@ def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
     alpha = [rgba[..., 3] / 255.0]
     light = [linear_of_srgb(rgba[..., :3] / 255.0) * alpha[0][..., None]]
     while min(alpha[-1].shape) > SMALLEST_MIP_PX:
-        alpha.append(_halved(alpha[-1]))
-        light.append(_halved(light[-1]))
-    wanted = _coverage(rgba[..., 3], threshold * 255.0)
-    kept = [rgba[..., 3]] + [_covering(level, wanted, threshold) for level in alpha[1:]]
-    colours = (_bytes(srgb_of_linear(colour)) for colour in _filled(light, alpha))
-    return tuple(np.dstack([colour, level]) for colour, level in zip(colours, kept, strict=True))
+        alpha.append(_downsample(alpha[-1]))
+        light.append(_downsample(light[-1]))
+    target_coverage = _coverage(rgba[..., 3], threshold * 255.0)
+    alpha_levels = [rgba[..., 3]] + [_match_coverage(level, target_coverage, threshold) for level in alpha[1:]]
+    colours = (_bytes(srgb_of_linear(colour)) for colour in _fill_transparent(light, alpha))
+    return tuple(np.dstack([colour, level]) for colour, level in zip(colours, alpha_levels, strict=True))
 
 
-def _texture(view: np.ndarray, stands: bool) -> np.ndarray:
-    """Convert a painted view to bytes and clear its border texels. With ``stands`` the stem keeps its foot on the last row."""
+def _texture(view: np.ndarray, has_stem: bool) -> np.ndarray:
+    """Convert a painted view to bytes and clear its border texels. With ``has_stem`` the stem keeps its foot on the last row."""
     alpha = view[..., 3].copy()
     foot = alpha[-1].copy()
     alpha[[0, -1]] = 0.0
     alpha[:, [0, -1]] = 0.0
-    if stands:
+    if has_stem:
         alpha[-1, 1:-1] = foot[1:-1]
     return np.dstack([_bytes(srgb_of_linear(view[..., :3])), _bytes(alpha)])
 
 
-def _covering(alpha: np.ndarray, wanted: float, threshold: float) -> np.ndarray:
-    """Scale alpha, with a dither if needed, so that its coverage is nearest to ``wanted``. Return it as uint8."""
+def _match_coverage(alpha: np.ndarray, target_coverage: float, threshold: float) -> np.ndarray:
+    """Scale alpha, with a dither if needed, so that its coverage is nearest to ``target_coverage``. Return it as uint8."""
     best, error = _bytes(alpha), np.inf
     row, column = np.indices(alpha.shape)
     # Ordered dither for any size: the R2 sequence (M. Roberts, 2018).
@@ -352,17 +352,17 @@ def _covering(alpha: np.ndarray, wanted: float, threshold: float) -> np.ndarray:
             middle = 0.5 * (low + high)
             scaled = _bytes(np.minimum(uneven * 2.0**middle, 1.0))
             share = _coverage(scaled, threshold * 255.0)
-            if abs(share - wanted) < error:
-                best, error = scaled, abs(share - wanted)
-            low, high = (middle, high) if share < wanted else (low, middle)
+            if abs(share - target_coverage) < error:
+                best, error = scaled, abs(share - target_coverage)
+            low, high = (middle, high) if share < target_coverage else (low, middle)
         if error <= COVERAGE_TOLERANCE:
             break
     return best
 
 
 @compiled
-def _coverage(alpha, least):
-    """Return the share of points, SUBGRID x SUBGRID in each texel, at which bilinear alpha is at least ``least``."""
+def _coverage(alpha, threshold):
+    """Return the share of points, SUBGRID x SUBGRID in each texel, at which bilinear alpha is at least ``threshold``."""
     height, width = alpha.shape
     covered = 0
     for i in range(height * SUBGRID):
@@ -378,24 +378,24 @@ def _coverage(alpha, least):
                 a, b = max(j0, 0), min(j0 + 1, width - 1)
                 upper = above[a] + u * (float(above[b]) - above[a])
                 lower = below[a] + u * (float(below[b]) - below[a])
-                covered += upper + v * (lower - upper) >= least
+                covered += upper + v * (lower - upper) >= threshold
     return covered / (height * width * SUBGRID * SUBGRID)
 
 
-def _filled(light: list[np.ndarray], alpha: list[np.ndarray]) -> list[np.ndarray]:
+def _fill_transparent(light: list[np.ndarray], alpha: list[np.ndarray]) -> list[np.ndarray]:
     """Return the linear colours of all levels, coarsest last. Texels without alpha take the colour of the next coarser level."""
     weight = alpha[-1].sum()
     coarser = np.broadcast_to(light[-1].sum(axis=(0, 1)) / weight if weight else np.zeros(3), light[-1].shape)
     colours = []
     for level, (premultiplied, share) in enumerate(zip(light[::-1], alpha[::-1], strict=True)):
         surroundings = coarser if level == 0 else np.repeat(np.repeat(coarser, 2, axis=0), 2, axis=1)
-        bare = share[..., None] == 0.0
-        coarser = np.where(bare, surroundings, premultiplied / np.where(bare, 1.0, share[..., None]))
+        is_transparent = share[..., None] == 0.0
+        coarser = np.where(is_transparent, surroundings, premultiplied / np.where(is_transparent, 1.0, share[..., None]))
         colours.append(coarser)
     return colours[::-1]
 
 
-def _halved(values: np.ndarray) -> np.ndarray:
+def _downsample(values: np.ndarray) -> np.ndarray:
     return 0.25 * (values[::2, ::2] + values[1::2, ::2] + values[::2, 1::2] + values[1::2, 1::2])
 
 

@@ -153,10 +153,10 @@ def paint(model: Whorled | Clumped, seed: int, size: int) -> tuple[np.ndarray, n
         and north up.
     """
     rng = np.random.default_rng(seed)
-    grown = _whorled(model, rng) if isinstance(model, Whorled) else _clumped(model, rng)
-    tree = _shaded(_fitted(grown, model.radius, size), model.radius)
-    side = _view(tree, (0, 2), (1, -1.0), (-model.radius, 0.0), (model.radius, 1.0), size)
-    above = _view(tree, (0, 1), (2, 1.0), (-model.radius, -model.radius), (model.radius, model.radius), size)
+    grown = _grow_whorled(model, rng) if isinstance(model, Whorled) else _grow_clumped(model, rng)
+    tree = _darken_inside(_fit_to_box(grown, model.radius, size), model.radius)
+    side = _paint_view(tree, (0, 2), (1, -1.0), (-model.radius, 0.0), (model.radius, 1.0), size)
+    above = _paint_view(tree, (0, 1), (2, 1.0), (-model.radius, -model.radius), (model.radius, model.radius), size)
     return side, above
 
 
@@ -183,11 +183,11 @@ class _Branches:
     low: np.ndarray
 
 
-def _whorled(model: Whorled, rng: np.random.Generator) -> Strokes:
+def _grow_whorled(model: Whorled, rng: np.random.Generator) -> Strokes:
     branches = _branches(model, rng)
     boughs, twigs = _boughs(model, branches), _twigs(model, branches, rng)
     shoots = rng.normal(0.0, 0.003, (7, 3)) + (0.0, 0.0, 0.03)
-    leader = _needled(np.tile((0.0, 0.0, 0.965), (7, 1)), shoots, np.ones(7), model, rng)
+    leader = _needle_twigs(np.tile((0.0, 0.0, 0.965), (7, 1)), shoots, np.ones(7), model, rng)
     return _joined(_stem(model.stem, 0.995, 0.0012, model.bark_albedo, model.bark_albedo, rng), boughs, twigs, leader)
 
 
@@ -231,16 +231,16 @@ def _twigs(model: Whorled, branches: _Branches, rng: np.random.Generator) -> Str
     nth = np.arange(len(i)) - np.repeat(np.cumsum(2 * pairs) - 2 * pairs, 2 * pairs)
     t = np.clip((nth // 2 + rng.random(len(i))) / pairs[i], 0.06, 1.0)
     left = np.where(nth % 2 == 0, 1.0, -1.0) * rng.uniform(0.35, 1.0, len(i))
-    aside = branches.ahead[i][:, [1, 0, 2]] * (-1.0, 1.0, 0.0)
+    sideways = branches.ahead[i][:, [1, 0, 2]] * (-1.0, 1.0, 0.0)
     reach = np.minimum(model.twig, 0.005 + 0.45 * branches.length[i]) * rng.uniform(0.5, 1.15, len(i)) * (1.12 - 0.62 * t)
-    twig = _unit(0.75 * branches.ahead[i] + left[:, None] * aside) * reach[:, None]
+    twig = _unit(0.75 * branches.ahead[i] + left[:, None] * sideways) * reach[:, None]
     twig[:, 2] -= reach * model.hang * rng.uniform(0.1, 1.0, len(i)) * branches.low[i]
     # Needles near the stem are old and dull, recent ones at the tip are fresh.
     fresh = (0.4 + 0.8 * t) * rng.uniform(0.9, 1.1, len(pairs))[i]
-    return _needled(_along(model, branches, i, t), twig, fresh, model, rng)
+    return _needle_twigs(_along(model, branches, i, t), twig, fresh, model, rng)
 
 
-def _needled(start: np.ndarray, twig: np.ndarray, fresh: np.ndarray, model: Whorled, rng: np.random.Generator) -> Strokes:
+def _needle_twigs(start: np.ndarray, twig: np.ndarray, fresh: np.ndarray, model: Whorled, rng: np.random.Generator) -> Strokes:
     """Return twigs with needles: each a tapering stroke with three side shoots that make its edge ragged."""
     n, reach = len(start), np.linalg.norm(twig, axis=1, keepdims=True)
     thick = model.thickness * rng.uniform(0.7, 1.2, n)
@@ -253,7 +253,7 @@ def _needled(start: np.ndarray, twig: np.ndarray, fresh: np.ndarray, model: Whor
     return _joined(*parts)
 
 
-def _clumped(model: Clumped, rng: np.random.Generator) -> Strokes:
+def _grow_clumped(model: Clumped, rng: np.random.Generator) -> Strokes:
     centre, size = _clump_centres(model, rng)
     stem = _stem(model.stem, 0.8, 0.2 * model.stem, model.bark_albedo, model.limb_albedo, rng)
     return _joined(stem, _limbs(model, centre, rng), _leaves(model, centre, size, rng))
@@ -291,9 +291,9 @@ def _clump_centres(model: Clumped, rng: np.random.Generator) -> tuple[np.ndarray
         away = rng.uniform(model.inside, 1.0, tries) ** 0.6 * np.maximum(model.radius * outline - 0.85 * size[i], 0.0)
         azimuth = rng.uniform(0.0, 2.0 * np.pi, tries)
         low, high = model.crown_base + 0.6 * size[i] * model.flat, 1.0 - 0.95 * size[i] * model.flat
-        tried = np.column_stack([away * np.cos(azimuth), away * np.sin(azimuth), low + (high - low) * share])
-        apart = np.linalg.norm(tried[:, None] - centre[None, :i], axis=2).min(axis=1, initial=np.inf)
-        centre[i] = tried[np.argmax(np.where(np.isinf(apart), tried[:, 2], apart))]
+        candidates = np.column_stack([away * np.cos(azimuth), away * np.sin(azimuth), low + (high - low) * share])
+        clearance = np.linalg.norm(candidates[:, None] - centre[None, :i], axis=2).min(axis=1, initial=np.inf)
+        centre[i] = candidates[np.argmax(np.where(np.isinf(clearance), candidates[:, 2], clearance))]
     return centre, size
 
 
@@ -345,7 +345,7 @@ def _tinted(albedo: tuple[float, float, float], n: int, rng: np.random.Generator
     return np.array(albedo) * np.column_stack([1.0 + warm, np.ones(n), 1.0 - warm]) * rng.uniform(0.82, 1.18, (n, 1))
 
 
-def _shaded(tree: Strokes, radius: float) -> Strokes:
+def _darken_inside(tree: Strokes, radius: float) -> Strokes:
     """Darken the strokes' albedo by ambient occlusion inside the crown (Beer's law through the strokes' own density).
 
     A renderer that lights a flat picture has no interreflection between leaves. Without this shading a crown has no depth.
@@ -371,7 +371,7 @@ def _shaded(tree: Strokes, radius: float) -> Strokes:
     return replace(tree, albedo=tree.albedo * (0.36 + 1.15 * open_sky) * (1.0 + (open_sky - 0.5) * (0.14, 0.0, -0.14)))
 
 
-def _fitted(tree: Strokes, radius: float, size: int) -> Strokes:
+def _fit_to_box(tree: Strokes, radius: float, size: int) -> Strokes:
     """Scale a tree about its stem to fill its bounding box except the border texels.
 
     The few outlying strokes (``OUTLIERS``) are removed.
@@ -384,14 +384,14 @@ def _fitted(tree: Strokes, radius: float, size: int) -> Strokes:
     wide = np.quantile((rim - thick[outer]) / reach[outer], OUTLIERS[0])
     tall = np.quantile((top - thick[upper]) / ends[upper, 2], OUTLIERS[1])
     start, end = np.round(ends * (wide, wide, tall) / SNAP) * SNAP
-    kept = ((wide * reach + thick <= rim) & (tall * ends[..., 2] + thick <= top)).all(axis=0)
-    return Strokes(start[kept], end[kept], np.round(tree.radius[kept] / SNAP) * SNAP, tree.albedo[kept])
+    is_inside = ((wide * reach + thick <= rim) & (tall * ends[..., 2] + thick <= top)).all(axis=0)
+    return Strokes(start[is_inside], end[is_inside], np.round(tree.radius[is_inside] / SNAP) * SNAP, tree.albedo[is_inside])
 
 
 Corner = tuple[float, float]
 
 
-def _view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: Corner, high: Corner, size: int) -> np.ndarray:
+def _paint_view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: Corner, high: Corner, size: int) -> np.ndarray:
     """Paint an orthographic view: ``axes`` to the right and up, ``depth`` the axis towards the viewer and its sign."""
     across, sign = [*axes, depth[0]], np.array([1.0, 1.0, depth[1]])
     start, end = tree.start[:, across] * sign, tree.end[:, across] * sign
@@ -400,14 +400,14 @@ def _view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: C
     front = np.maximum(start[:, 2], end[:, 2]) + thick.max(axis=1)
     order = np.argsort(-front, kind="stable")  # front to back, so that most hidden samples are skipped
     strokes = start[order], end[order], thick[order], front[order]
-    seen = _nearest(*strokes, low[0], low[1], step[0], step[1], size * SUPERSAMPLING)
-    return _texels(seen, tree.albedo[order], SUPERSAMPLING)
+    stroke_index = _nearest(*strokes, low[0], low[1], step[0], step[1], size * SUPERSAMPLING)
+    return _texels(stroke_index, tree.albedo[order], SUPERSAMPLING)
 
 
 @compiled
 def _nearest(start, end, radius, front, left, bottom, step_x, step_y, size):
     """Return the index int32 (size, size) of the nearest stroke at each sample, -1 for none. Row 0 is the top."""
-    seen = np.full((size, size), -1, dtype=np.int32)
+    stroke_index = np.full((size, size), -1, dtype=np.int32)
     nearest = np.full((size, size), -np.inf)
     for k in range(len(start)):
         ax, ay, az = start[k]
@@ -433,21 +433,21 @@ def _nearest(start, end, radius, front, left, bottom, step_x, step_y, size):
                     depth = az + t * dz + np.sqrt(bulge)
                     if depth > nearest[i, j]:
                         nearest[i, j] = depth
-                        seen[i, j] = k
-    return seen
+                        stroke_index[i, j] = k
+    return stroke_index
 
 
 @compiled
-def _texels(seen, albedo, samples):
+def _texels(stroke_index, albedo, samples):
     """Return the mean albedo and the coverage (size, size, 4) of each texel of ``samples`` x ``samples`` samples."""
-    size = len(seen) // samples
+    size = len(stroke_index) // samples
     rgba = np.zeros((size, size, 4))
     for i in range(size * samples):
         for j in range(size * samples):
-            if seen[i, j] >= 0:
+            if stroke_index[i, j] >= 0:
                 texel = rgba[i // samples, j // samples]
                 for c in range(3):
-                    texel[c] += albedo[seen[i, j], c]
+                    texel[c] += albedo[stroke_index[i, j], c]
                 texel[3] += 1.0
     for row in rgba:
         for texel in row:

@@ -17,7 +17,7 @@ from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
 from pyproj.exceptions import ProjError
 
 from skugga.terrain.errors import LevelError, Problem, SourceError
-from skugga.terrain.geo.vectors import Features, attribute_names, numbers, read_features, vector_layer
+from skugga.terrain.geo.vectors import Features, attribute_names, numeric_attribute, read_features, vector_layer
 from skugga.terrain.geo.world import World, longitude_latitude_of, transformer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.length_text import length_m
@@ -40,11 +40,11 @@ from skugga.terrain.trees.canopy_sample import (
     SHRUB_HEIGHT_M,
     TREE_HEIGHT_M,
     CanopyCells,
-    cells_of,
     check_above_ground,
+    height_class_shares,
 )
-from skugga.terrain.trees.crown_sizes import CROWN, CROWN_M, HEIGHT, SPREAD, TURN, line_of, looks_of, own_crown_m
-from skugga.terrain.trees.scatter import HECTARE_M2, Places, join_places, point_keys, scatter_trees, shares
+from skugga.terrain.trees.crown_sizes import CROWN, CROWN_M, HEIGHT, SPREAD, TURN, random_crown_m, random_variants, species_line
+from skugga.terrain.trees.scatter import HECTARE_M2, Places, join_places, point_keys, scatter_trees, uniform_numbers
 from skugga.terrain.trees.thinning import thinning_ranks
 from skugga.terrain.trees.trees import Trees
 
@@ -57,13 +57,13 @@ HEIGHT_M = (8.0, 18.0)
 POINT_HEIGHTS = ("height", "Height", "HEIGHT", "height_m", "Height_m", "HEIGHT_M")
 """Attributes searched for the heights of points, in this order, if the level names none."""
 
-USABLE_M = (0.1, 150.0)
+VALID_RANGE_M = (0.1, 150.0)
 """Range of valid heights and crown diameters. Features outside of it are left out."""
 
-SAMPLES_A_SIDE, PLACES_A_SIDE = 1024, 64
+SAMPLES_A_SIDE, GROUND_SAMPLES_A_SIDE = 1024, 64
 """Maximum side of a canopy's sample, cells: for the shares of height classes, and for the comparison with the ground's heights."""
 
-FARTHEST_M = 5e6
+MAX_OUTLINE_DISTANCE_M = 5e6
 """Maximum distance of the terrain's border from the anchor for an outline in the level's equal-area map."""
 
 
@@ -107,10 +107,10 @@ class Site:
 
     @cached_property
     def outline(self) -> shapely.Polygon | None:
-        """The terrain's outline in the map, with a small margin; ``None`` if it covers too much of the globe (``FARTHEST_M``)."""
+        """The terrain's outline in the map, with a small margin; ``None`` if it covers too much of the globe (``MAX_OUTLINE_DISTANCE_M``)."""
         cells = border_cells(*self.elevation.shape)
-        x, y = _moved(self.elevation.crs, self.crs, *self.elevation.xy(*cells))
-        if not self.world.flat and not (np.hypot(x, y) < FARTHEST_M).all():
+        x, y = _transform(self.elevation.crs, self.crs, *self.elevation.xy(*cells))
+        if not self.world.flat and not (np.hypot(x, y) < MAX_OUTLINE_DISTANCE_M).all():
             return None
         border = shapely.Polygon(np.column_stack([x, y]))
         margin = 1e-3 * np.sqrt(border.area)  # more than the border bends between its points
@@ -118,7 +118,7 @@ class Site:
 
     def on_terrain(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Transform map coordinates to the elevation's CRS; NaN where that is undefined."""
-        x, y = _moved(self.crs, self.elevation.crs, x, y)
+        x, y = _transform(self.crs, self.elevation.crs, x, y)
         there = np.isfinite(x) & np.isfinite(y)
         return np.where(there, x, np.nan), np.where(there, y, np.nan)
 
@@ -214,10 +214,10 @@ def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Plan
     for number, spec in enumerate(loaded.level.forest):
         where = f"{loaded.path}: forest.{number}"
         stems = _stems(spec, loaded.resolve(spec.source), where, site, MAX_TREES - count)
-        trees = _planted(stems, spec.species, where, site)
+        trees = _plant_stand(stems, spec.species, where, site)
         count += len(trees.rank)
         stands.append(trees)
-        notes += [f"{spec.source}: {note}" for note in (*stems.notes, *_planted_words(stems, len(trees.rank)))]
+        notes += [f"{spec.source}: {note}" for note in (*stems.notes, *_planting_note(stems, len(trees.rank)))]
         warnings += [f"{spec.source}: {text}" for text in stems.warnings]
         if not len(trees.rank):
             warnings.append(f"{spec.source}: no tree is planted{f': {stems.left_out}' if stems.left_out else ''}")
@@ -228,7 +228,7 @@ def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Plan
     return Planting(replace(trees, rank=thinning_ranks(east, north)), tuple(notes), tuple(warnings))
 
 
-def _planted_words(stems: Stems, planted: int) -> list[str]:
+def _planting_note(stems: Stems, planted: int) -> list[str]:
     """Return the note on the numbers of planted and left out trees of a stand."""
     lost = len(stems.places) - planted
     off = [f"{lost} off the terrain, over its holes or under water"] if lost else []
@@ -236,7 +236,7 @@ def _planted_words(stems: Stems, planted: int) -> list[str]:
     return [f"{planted} trees planted" + (f"; left out: {left_out}" if left_out else "")]
 
 
-def _stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
+def _stems(spec: ForestSpec, source: str, where: str, site: Site, max_trees: int) -> Stems:
     """Return the stems of a stand from polygons, points or a canopy raster, by the type of its file."""
     named = list(dict.fromkeys(name for name in (spec.height, spec.crown) if isinstance(name, str)))
     try:
@@ -245,16 +245,16 @@ def _stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> 
     except SourceError:
         if _is_vector(source):
             raise
-        return _canopy_stems(spec, source, where, site, most)
+        return _canopy_stems(spec, source, where, site, max_trees)
     if spec.least_height is not None:
         problem = Problem(f"'{spec.least_height}' needs a raster of canopy heights as the source")
         raise LevelError(f"{where}.least_height", problem, "Remove the key")
-    features = _parts(read)
+    features = _single_parts(read)
     dimensions = shapely.get_dimensions(features.geometry)
     if (dimensions == 2).all():
-        return replace(_polygon_stems(spec, features, where, site, most), notes=layer.notes)
+        return replace(_polygon_stems(spec, features, where, site, max_trees), notes=layer.notes)
     if (dimensions == 0).all():
-        return replace(_point_stems(spec, features, where, site, most), notes=layer.notes)
+        return replace(_point_stems(spec, features, where, site, max_trees), notes=layer.notes)
     found = "it has lines" if (dimensions == 1).any() else "it has both polygons and points"
     raise SourceError(source, found, "Use only polygons, only points, or a raster of canopy heights")
 
@@ -270,7 +270,7 @@ def _is_vector(source: str) -> bool:
     return True
 
 
-def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site, most: int) -> Stems:
+def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site, max_trees: int) -> Stems:
     if spec.density is None:
         raise LevelError.missing(f"{where}.density", "Set the trees per hectare: the source has polygons")
     geometry, index = features.geometry, np.arange(len(features.geometry))
@@ -281,38 +281,38 @@ def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site,
         within = shapely.contains_properly(site.outline, geometry)
         geometry[~within] = shapely.intersection(geometry[~within], site.outline)
         if not len(geometry):
-            raise _outside(where, shapely.total_bounds(features.geometry), site)
+            raise _off_terrain_error(where, shapely.total_bounds(features.geometry), site)
     expected = shapely.area(geometry).sum() * site.unit_m**2 / HECTARE_M2 * spec.density
-    if expected > most:
-        raise _too_many(where, round(expected), most)
+    if expected > max_trees:
+        raise _too_many_trees_error(where, round(expected), max_trees)
     stands = [scatter_trees(area, spec.density, spec.seed, site.unit_m) for area in geometry]
     owner = np.repeat(index, [len(places) for places in stands])
     places, first = join_places(stands)
     owner = owner[first]
-    height = _values(spec.height or HEIGHT_M, features, owner, places.key, HEIGHT)
-    crown = None if spec.crown is None else _values(spec.crown, features, owner, places.key, CROWN)
-    return _usable(Stems(places, height, crown))
+    height = _tree_values(spec.height or HEIGHT_M, features, owner, places.key, HEIGHT)
+    crown = None if spec.crown is None else _tree_values(spec.crown, features, owner, places.key, CROWN)
+    return _drop_invalid(Stems(places, height, crown))
 
 
-def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, most: int) -> Stems:
+def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, max_trees: int) -> Stems:
     if spec.density is not None:
         problem = Problem(f"'{spec.density}' needs polygons, but the source has points, each a tree")
         raise LevelError(f"{where}.density", problem, "Remove the key")
     x, y = shapely.get_x(features.geometry), shapely.get_y(features.geometry)
-    on = np.flatnonzero(site.elevation.covers(*site.on_terrain(x, y)))
-    if not len(on):
-        raise _outside(where, shapely.total_bounds(features.geometry), site)
-    key, first = np.unique(point_keys(spec.seed, x[on] * site.unit_m, y[on] * site.unit_m), return_index=True)
-    first = on[first]
-    if len(key) > most:
-        raise _too_many(where, len(key), most)
+    covered = np.flatnonzero(site.elevation.covers(*site.on_terrain(x, y)))
+    if not len(covered):
+        raise _off_terrain_error(where, shapely.total_bounds(features.geometry), site)
+    key, first = np.unique(point_keys(spec.seed, x[covered] * site.unit_m, y[covered] * site.unit_m), return_index=True)
+    first = covered[first]
+    if len(key) > max_trees:
+        raise _too_many_trees_error(where, len(key), max_trees)
     height_source = spec.height or next((name for name in POINT_HEIGHTS if name in features.attributes), HEIGHT_M)
-    height = _values(height_source, features, first, key, HEIGHT)
-    crown = None if spec.crown is None else _values(spec.crown, features, first, key, CROWN)
-    return _usable(Stems(Places(x[first], y[first], key), height, crown))
+    height = _tree_values(height_source, features, first, key, HEIGHT)
+    crown = None if spec.crown is None else _tree_values(spec.crown, features, first, key, CROWN)
+    return _drop_invalid(Stems(Places(x[first], y[first], key), height, crown))
 
 
-def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
+def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, max_trees: int) -> Stems:
     for name in ("density", "height", "layer"):
         if getattr(spec, name) is not None:
             problem = Problem(f"'{getattr(spec, name)}' does not apply to a raster of canopy heights")
@@ -323,33 +323,35 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
     try:
         window = canopy.window(site.crs, site.outline)
         if window is None:
-            raise _outside(where, shapely.total_bounds(shapely.MultiPoint(canopy.outline(site.crs))), site)
-        base, slope = line_of(CROWN_M, spec.species)
-        window_m = line_of(TREETOP_WINDOW_M, spec.species)
-        cells = _look_at(canopy, window, site)
+            raise _off_terrain_error(where, shapely.total_bounds(shapely.MultiPoint(canopy.outline(site.crs))), site)
+        base, slope = species_line(CROWN_M, spec.species)
+        window_m = species_line(TREETOP_WINDOW_M, spec.species)
+        cells = _check_canopy(canopy, window, site)
         shrub_m2 = (base + slope * (SHRUB_HEIGHT_M + TREE_HEIGHT_M) / 2) ** 2 / PACKING
-        canopy.least_m = spec.least_height or _least_height_m(cells, window, canopy.cell_m(site.crs, site.unit_m, window), shrub_m2)
+        canopy.min_height_m = spec.least_height or _default_min_height_m(
+            cells, window, canopy.cell_m(site.crs, site.unit_m, window), shrub_m2
+        )
         for piece in canopy.trees(site.crs, site.unit_m, window, lambda h: base + slope * h, window_m, spec.seed):
             stands.append(piece)
             count += len(piece.places)
-            if count > most:
-                raise _too_many(where, count, most, "at least")
+            if count > max_trees:
+                raise _too_many_trees_error(where, count, max_trees, "at least")
     finally:
         canopy.close()
     places, first = join_places([piece.places for piece in stands])
     height = np.concatenate([piece.height_m for piece in stands] or [np.empty(0)])[first]
-    crown = None if spec.crown is None else _values(spec.crown, None, first, places.key, CROWN)
+    crown = None if spec.crown is None else _tree_values(spec.crown, None, first, places.key, CROWN)
     warnings = []
     if cells.is_mostly_giant:
         said_m = f"{GIANT_HEIGHT_M:g} m"
         warnings.append(f"most of its cells with trees are higher than {said_m}. Check the unit of its heights.")
     return Stems(
         places, height, crown, MAX_CROWN_RATIO * room_m(places.x, places.y, site.unit_m),
-        left_out=f"of its cells {said}" if (said := cells.left_out(canopy.least_m)) else "", warnings=tuple(warnings),
+        left_out=f"of its cells {said}" if (said := cells.left_out(canopy.min_height_m)) else "", warnings=tuple(warnings),
     )  # fmt: skip
 
 
-def _look_at(canopy: Canopy, window: CellWindow, site: Site) -> CanopyCells:
+def _check_canopy(canopy: Canopy, window: CellWindow, site: Site) -> CanopyCells:
     """Check a canopy and return its cells' shares by height class.
 
     Raises ``SourceError`` if all cells are nodata, or if the heights are above sea level instead of above ground.
@@ -359,13 +361,13 @@ def _look_at(canopy: Canopy, window: CellWindow, site: Site) -> CanopyCells:
         _, _, anywhere_m = canopy.sample(CellWindow(0, 0, canopy.rows, canopy.cols), SAMPLES_A_SIDE)
         if np.isnan(anywhere_m).all():
             raise SourceError(canopy.name, "no height in any cell (all nodata)", "Use a raster with canopy heights")
-    row, col, some_m = canopy.sample(window, PLACES_A_SIDE)
+    row, col, some_m = canopy.sample(window, GROUND_SAMPLES_A_SIDE)
     ground_m = site.elevation.ground_m(*site.on_terrain(*canopy.xy(site.crs, row, col)))
     check_above_ground(canopy.name, some_m, ground_m / site.exaggeration)
-    return cells_of(heights_m)
+    return height_class_shares(heights_m)
 
 
-def _least_height_m(cells: CanopyCells, window: CellWindow, cell_m: float, shrub_m2: float) -> float:
+def _default_min_height_m(cells: CanopyCells, window: CellWindow, cell_m: float, shrub_m2: float) -> float:
     """Return the default minimum height of trees, metres.
 
     Shrubs count if the canopy is mostly shrubs, its cells are fine enough, and there are at most ``MAX_SHRUBS``.
@@ -374,22 +376,24 @@ def _least_height_m(cells: CanopyCells, window: CellWindow, cell_m: float, shrub
     return SHRUB_HEIGHT_M if cells.is_low and cell_m <= COARSE_CELL_M and shrubs <= MAX_SHRUBS else TREE_HEIGHT_M
 
 
-def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
+def _plant_stand(stems: Stems, species: Species, where: str, site: Site) -> Trees:
     """Plant stems on the ground and draw their random properties from their hashes.
 
     Raises ``LevelError`` if all are off the terrain.
     """
     x, y = site.on_terrain(stems.places.x, stems.places.y)
-    on = site.elevation.covers(x, y)
-    if len(on) and not on.any():
-        raise _outside(where, shapely.total_bounds(shapely.MultiPoint(np.column_stack([stems.places.x, stems.places.y]))), site)
+    covered = site.elevation.covers(x, y)
+    if len(covered) and not covered.any():
+        raise _off_terrain_error(
+            where, shapely.total_bounds(shapely.MultiPoint(np.column_stack([stems.places.x, stems.places.y]))), site
+        )
     ground_m = site.elevation.ground_m(x, y)
-    there = ground_m > site.elevation.water_m
-    stems, x, y, ground_m = stems[there], x[there], y[there], ground_m[there]
+    on_land = ground_m > site.elevation.water_m
+    stems, x, y, ground_m = stems[on_land], x[on_land], y[on_land], ground_m[on_land]
     key = stems.places.key
-    variant = looks_of(key, species)
+    variant = random_variants(key, species)
     if stems.crown_m is None:
-        crown_m = own_crown_m(stems.height_m, variant, shares(key, SPREAD))
+        crown_m = random_crown_m(stems.height_m, variant, uniform_numbers(key, SPREAD))
         crown_m = crown_m if stems.room_m is None else np.minimum(crown_m, stems.room_m)
     else:
         crown_m = stems.crown_m
@@ -398,59 +402,59 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
         base_earth_m=point + ground_m[:, None] * up,
         height_m=stems.height_m.astype(np.float32),
         crown_m=crown_m.astype(np.float32),
-        turn_deg=(180.0 * shares(key, TURN)).astype(np.float32) % np.float32(180.0),
+        turn_deg=(180.0 * uniform_numbers(key, TURN)).astype(np.float32) % np.float32(180.0),
         variant=variant,
         rank=np.zeros(len(key), np.float32),  # set for all stands together
     )
 
 
-def _values(
-    given: tuple[float, float] | str, features: Features | None, row: np.ndarray, key: np.ndarray, stream: int
+def _tree_values(
+    value_source: tuple[float, float] | str, features: Features | None, row: np.ndarray, key: np.ndarray, stream: int
 ) -> np.ndarray:
     """Return metres float64 (n,): random values in a range, or the values of an attribute (NaN where invalid).
 
     Raises ``SourceError`` if the attribute has no valid value.
     """
-    if not isinstance(given, str):
-        return given[0] + (given[1] - given[0]) * shares(key, stream)
+    if not isinstance(value_source, str):
+        return value_source[0] + (value_source[1] - value_source[0]) * uniform_numbers(key, stream)
     assert features is not None
-    values = numbers(features, given, length_m)
+    values = numeric_attribute(features, value_source, length_m)
     with np.errstate(invalid="ignore"):
-        usable = (values >= USABLE_M[0]) & (values <= USABLE_M[1])
-    if not usable.any():
-        problem = f"the attribute {given} has no valid value ({values[0]:g} ...)"
-        raise SourceError(features.name, problem, f"Use metres from {USABLE_M[0]} to {USABLE_M[1]:g}")
-    return np.where(usable, values, np.nan)[row]
+        valid = (values >= VALID_RANGE_M[0]) & (values <= VALID_RANGE_M[1])
+    if not valid.any():
+        problem = f"the attribute {value_source} has no valid value ({values[0]:g} ...)"
+        raise SourceError(features.name, problem, f"Use metres from {VALID_RANGE_M[0]} to {VALID_RANGE_M[1]:g}")
+    return np.where(valid, values, np.nan)[row]
 
 
-def _usable(stems: Stems) -> Stems:
-    known = np.isfinite(stems.height_m)
-    known = known if stems.crown_m is None else known & np.isfinite(stems.crown_m)
-    lost = np.count_nonzero(~known)
-    return replace(stems[known], left_out=f"{lost} without a usable height or crown" if lost else "")
+def _drop_invalid(stems: Stems) -> Stems:
+    valid = np.isfinite(stems.height_m)
+    valid = valid if stems.crown_m is None else valid & np.isfinite(stems.crown_m)
+    lost = np.count_nonzero(~valid)
+    return replace(stems[valid], left_out=f"{lost} without a usable height or crown" if lost else "")
 
 
-def _parts(features: Features) -> Features:
+def _single_parts(features: Features) -> Features:
     """Split collections and multi-part geometries into single parts, without empty ones."""
     geometry, row = features.geometry, np.arange(len(features.geometry))
     while (shapely.get_type_id(geometry) > 3).any():
         geometry, index = shapely.get_parts(geometry, return_index=True)
         row = row[index]
-    there = ~shapely.is_empty(geometry)
-    return replace(features[row[there]], geometry=geometry[there])
+    nonempty = ~shapely.is_empty(geometry)
+    return replace(features[row[nonempty]], geometry=geometry[nonempty])
 
 
-def _moved(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _transform(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (x, y) if source == target else transformer(source, target).transform(x, y)
 
 
-def _too_many(where: str, count: int, most: int, more: str = "") -> LevelError:
-    rest = "" if most == MAX_TREES else f" ({most:,} left for this stand)"
+def _too_many_trees_error(where: str, count: int, max_trees: int, more: str = "") -> LevelError:
+    rest = "" if max_trees == MAX_TREES else f" ({max_trees:,} left for this stand)"
     limit = f"{MAX_TREES:,} trees in a level{rest}"
     return LevelError.over_limit(where, " ".join(f"{more} {count:,} trees".split()), limit, "Plant fewer trees")
 
 
-def _outside(where: str, bounds: np.ndarray, site: Site) -> LevelError:
+def _off_terrain_error(where: str, bounds: np.ndarray, site: Site) -> LevelError:
     """Return the error of a stand that is entirely off the terrain; ``bounds`` are those of the stand in the site's map."""
     crs = site.elevation.crs
     if site.crs != crs:

@@ -54,17 +54,17 @@ class Places:
         return len(self.key)
 
 
-def keys(seed: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+def pair_keys(seed: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     """Return the hashes uint64 (n,) of pairs of integers."""
     return _keys(seed, np.asarray(i, np.int64), np.asarray(j, np.int64))
 
 
 def point_keys(seed: int, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     """Return the hashes uint64 (n,) of points (metres), equal for points in the same millimetre."""
-    return keys(seed, np.rint(np.asarray(x_m) * 1000.0), np.rint(np.asarray(y_m) * 1000.0))
+    return pair_keys(seed, np.rint(np.asarray(x_m) * 1000.0), np.rint(np.asarray(y_m) * 1000.0))
 
 
-def shares(key: np.ndarray, stream: int) -> np.ndarray:
+def uniform_numbers(key: np.ndarray, stream: int) -> np.ndarray:
     """Return uniform random numbers float64 (n,) in [0, 1), independent for each hash and stream."""
     return _shares(key, stream)
 
@@ -72,7 +72,7 @@ def shares(key: np.ndarray, stream: int) -> np.ndarray:
 def scatter_trees(area: shapely.Polygon | shapely.MultiPolygon, density_per_ha: float, seed: int, unit_m: float = 1.0) -> Places:
     """Return the positions of trees of a density in an area of a CRS with unit ``unit_m`` metres. The mean density is exact."""
     pitch = np.sqrt(HECTARE_M2 / density_per_ha) / unit_m
-    return _gathered([places for part in shapely.get_parts(area) for places in _scattered(part, pitch, seed)])
+    return _gathered([places for part in shapely.get_parts(area) for places in _scatter_in_polygon(part, pitch, seed)])
 
 
 def join_places(sets: list[Places]) -> tuple[Places, np.ndarray]:
@@ -94,7 +94,7 @@ def _gathered(sets: list[Places]) -> Places:
     return Places(*(np.concatenate([getattr(places, name) for places in sets]) for name in ("x", "y", "key")))
 
 
-def _scattered(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[Places]:
+def _scatter_in_polygon(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[Places]:
     west, south, east, north = (int(np.floor(v / pitch)) for v in area.bounds)
     cols, rows = (v.ravel() for v in np.meshgrid(np.arange(west, east + 1, _TILE), np.arange(south, north + 1, _TILE)))
     shapely.prepare(area)
@@ -113,7 +113,7 @@ def _scattered(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[Place
 
 
 @internal
-def _mixed(x):
+def _splitmix64(x):
     """Return splitmix64 of x (G. L. Steele, D. Lea, C. H. Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
     x = x + _GOLDEN
     x = (x ^ (x >> _S30)) * _FIRST
@@ -124,12 +124,12 @@ def _mixed(x):
 @internal
 def pair_key(seed, i, j):
     """Return the hash uint64 of a pair of integers, for compiled loops."""
-    return _mixed(_mixed(_mixed(np.uint64(seed)) ^ np.uint64(i)) ^ np.uint64(j))
+    return _splitmix64(_splitmix64(_splitmix64(np.uint64(seed)) ^ np.uint64(i)) ^ np.uint64(j))
 
 
 @internal
 def _share(key, stream):
-    return np.float64(_mixed(key ^ _mixed(np.uint64(stream))) >> _S11) * 2.0**-53
+    return np.float64(_splitmix64(key ^ _splitmix64(np.uint64(stream))) >> _S11) * 2.0**-53
 
 
 @compiled

@@ -23,7 +23,7 @@ def path(*at: str) -> CameraPathSpec:
 def test_a_day_has_both_its_ends():
     span = film_span(MORNING, EVENING, "10m")
     assert span == FilmSpan(73, 600.0, datetime.fromisoformat(MORNING))
-    assert span.time_of(72) == datetime.fromisoformat(EVENING) and span.length_s == 43200.0
+    assert span.parse_time(72) == datetime.fromisoformat(EVENING) and span.length_s == 43200.0
     assert film_span(MORNING, EVENING, "7m").frames == 103  # the last one at 17:54
     assert film_span(MORNING, MORNING, "7m").frames == 1
 
@@ -63,7 +63,7 @@ def test_the_last_frame_is_the_last_that_fits(length_s, step_s):
             film_span(MORNING, end.isoformat(), f"{step_s}s")
         return
     span = film_span(MORNING, end.isoformat(), f"{step_s}s")
-    assert span.time_of(span.frames - 1) <= end < span.time_of(span.frames)
+    assert span.parse_time(span.frames - 1) <= end < span.parse_time(span.frames)
 
 
 WRONG = {
@@ -80,8 +80,8 @@ WRONG = {
     "no step": ((MORNING, EVENING, None), "step", "as 10m, beside from and to"),
     "zero": ((MORNING, EVENING, "0m"), "step", "at least 0.001s"),
     "negative": ((MORNING, EVENING, "-10m"), "step", "at least 0.001s"),
-    "unreadable": ((MORNING, EVENING, "ten"), "step", "a number and s, m, h or d, as 15m"),
-    "no unit": ((MORNING, EVENING, "10"), "step", "a number and s, m, h or d, as 15m"),
+    "unreadable": ((MORNING, EVENING, "ten"), "step", "a number and a unit, s, m, h or d, such as 15m"),
+    "no unit": ((MORNING, EVENING, "10"), "step", "a number and a unit, s, m, h or d, such as 15m"),
     "many": ((MORNING, EVENING, "4s"), "step", "at most 10000 frames"),
     "many of the clock": (("0s", "900000d", "0.001s"), "step", "at most 10000 frames"),
     "slow": (("0s", "5s", None, 0.01), "fps", "0.1 to 120"),

@@ -77,7 +77,7 @@ def test_the_command_line_draws_what_needs_none(level: Path, environment: dict[s
         assert 0.02 < float((dataset.read(1) < 128).mean()) < 0.98
     for status, said, wrong in need_it:
         assert (status, said) == (1, "") and wrong.count("\n") == 1, wrong
-        assert "no OpenGL 4.3 context through EGL" in wrong and "only bare ground under the sun is drawn without it" in wrong
+        assert "no OpenGL 4.3 context through EGL" in wrong and "only terrain without objects can be drawn, under the sun" in wrong
     assert not refused.exists()
     status, said, _ = doctor
     assert status == 1 and "MISSING  OpenGL" in said and "apt-get install" in said and "ok       a shadowed map" in said
@@ -97,7 +97,7 @@ def test_the_service_draws_what_needs_none(level: Path, environment: dict[str, s
             assert without.get(f"/levels/hills/{TILE}", params=SUN | {"altitude": 9}).status_code == 200
         process.terminate()
         _, said = process.communicate(timeout=PATIENCE_S)
-    assert "only bare ground under the sun is drawn without it" in said
+    assert "only terrain without objects can be drawn, under the sun" in said
     assert "is replaced" not in said, "a refusal ends no render process"
 
 

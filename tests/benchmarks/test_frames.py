@@ -27,8 +27,8 @@ from skugga.api.catalogue import find_level
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
@@ -140,7 +140,7 @@ def test_the_yardstick_shows_the_scene_that_we_show():
     plain, shadowed = (Yardstick(scene, view, size).draw(scene, view)[..., :3].astype(int) for size in (0, 512))
     sky = (plain == plain[0, 0]).all(axis=2)
     assert np.mean(sky == ~ours.there) > 0.99
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     eye, _ = view.in_frame(buffer.frame)
     near = (buffer.kind == RELIEF) & (np.linalg.norm(buffer.position_frame_m - eye, axis=2) < 150.0)
     near &= buffer.normal_frame @ scene.sun.in_frame(buffer.frame) > 0.1

@@ -289,8 +289,8 @@ def haze() -> Iterator[Case]:
     for visibility in (1e3, 1e4, 1e5, 3e5, 6e5, 1e6, 1.5e6, 2e6, 3e6, 5e6, 1e7):
         yield Case(f"hills {visibility:g} m", ground("hills", 220.0, 20.0, weather={"visibility": visibility}), ACROSS)
     yield Case("clear", ground("hills", 220.0, 20.0), ACROSS)
-    for away_m in (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0):  # of the ground below an eye, in clear air
-        yield Case(f"clear, {away_m} m above a floor", ground("floor"), eye((0, 0, away_m), (0, 0.01, 0), 20.0))
+    for distance_m in (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0):  # of the ground below an eye, in clear air
+        yield Case(f"clear, {distance_m} m above a floor", ground("floor"), eye((0, 0, distance_m), (0, 0.01, 0), 20.0))
     yield Case("map", ground("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
 
 

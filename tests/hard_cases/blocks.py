@@ -10,8 +10,15 @@ import shapely
 import trimesh
 
 from skugga.shadows.maps.perspective_shadow_map import MOST_TEXEL_PX
-from skugga.shadows.truth.metrics import SeenShadow, boundary, edge_distances, edge_sight, far_inside, sight_of
-from skugga.shadows.truth.truth import Truth, sub_views
+from skugga.shadows.truth.metrics import (
+    MetricCoverage,
+    boundary,
+    edge_distances,
+    edge_metric_coverage,
+    interior_region,
+    metric_coverage,
+)
+from skugga.shadows.truth.truth import Truth, jittered_views
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from tests.hard_cases.cases import Seen
@@ -95,7 +102,7 @@ def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
     there = seen.buffer.there & (seen.buffer.kind == RELIEF)
     dark, decidable = np.zeros(there.shape, bool), there.copy()
     dark[there] = shaded(*on_ground(view, there), hulls)
-    for each in sub_views(view, 4):
+    for each in jittered_views(view, 4):
         decidable[there] &= shaded(*on_ground(each, there), hulls) == dark[there]  # type: ignore[arg-type]
     return Truth(there & ~dark, np.zeros(there.shape, bool), decidable, there)
 
@@ -111,8 +118,8 @@ class OnGround:
     interior: float
     edge_p95_px: float
     displaced: float
-    interior_sight: SeenShadow
-    edge_sight: SeenShadow
+    interior_sight: MetricCoverage
+    edge_metric_coverage: MetricCoverage
 
 
 def figures_on_ground(seen: Seen, truth: Truth, hulls: Sequence[shapely.Polygon]) -> OnGround:
@@ -124,7 +131,7 @@ def figures_on_ground(seen: Seen, truth: Truth, hulls: Sequence[shapely.Polygon]
     assert isinstance(view, PerspectiveView)
     dark, true_dark = seen.dark & truth.there, truth.there & ~truth.lit
     wrong = truth.decidable & (dark != true_dark)
-    asked = far_inside(truth, texels_px) & truth.decidable & (wrong | true_dark)
+    asked = interior_region(truth, texels_px) & truth.decidable & (wrong | true_dark)
     points = np.stack([*on_ground(view, asked), np.zeros(np.count_nonzero(asked))], axis=-1)
     texel_m = texels_px[asked] * np.linalg.norm(points - view.eye_earth_m, axis=-1) * view.pixel
     outline = shapely.union_all(hulls).boundary
@@ -135,6 +142,6 @@ def figures_on_ground(seen: Seen, truth: Truth, hulls: Sequence[shapely.Polygon]
         interior=np.count_nonzero(wrong & asked) / max(np.count_nonzero(truth.decidable), 1),
         edge_p95_px=float(np.quantile(edges_px, 0.95)) if edges_px.size else 0.0,
         displaced=np.count_nonzero(wrong) / max(displaced_px, 1.0),
-        interior_sight=sight_of(dark, truth, asked),
-        edge_sight=edge_sight(dark, truth),
+        interior_sight=metric_coverage(dark, truth, asked),
+        edge_metric_coverage=edge_metric_coverage(dark, truth),
     )

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from scipy.ndimage import binary_erosion
 
-from skugga.shadows.truth.metrics import Errors, SeenShadow, errors_of, far_inside, sight_of
+from skugga.shadows.truth.metrics import ErrorMetrics, MetricCoverage, error_metrics, interior_region, metric_coverage
 from skugga.shadows.truth.truth import Truth
 from skugga.terrain.gbuffer.resolve import RELIEF
 from tests.hard_cases.cases import Seen
@@ -54,21 +54,21 @@ def _held(seen: Seen, truth: Truth | None) -> Truth:
     return truth
 
 
-def errors(seen: Seen, truth: Truth | None = None) -> Errors:
+def errors(seen: Seen, truth: Truth | None = None) -> ErrorMetrics:
     """An algorithm's errors where it promises anything."""
-    return errors_of(seen.visibility, _held(seen, truth), 1.0, seen.texels_px)
+    return error_metrics(seen.visibility, _held(seen, truth), 1.0, seen.texels_px)
 
 
-def interior_sight(seen: Seen, truth: Truth | None = None) -> SeenShadow:
+def interior_sight(seen: Seen, truth: Truth | None = None) -> MetricCoverage:
     """What the interior of these errors sees of the cast shadow."""
     truth = _held(seen, truth)
-    return sight_of(seen.dark, truth, far_inside(truth, seen.texels_px))
+    return metric_coverage(seen.dark, truth, interior_region(truth, seen.texels_px))
 
 
-def whole_sight(seen: Seen, truth: Truth | None = None) -> SeenShadow:
+def whole_sight(seen: Seen, truth: Truth | None = None) -> MetricCoverage:
     """What a figure sees that counts every decidable pixel."""
     truth = _held(seen, truth)
-    return sight_of(seen.dark, truth, truth.decidable)
+    return metric_coverage(seen.dark, truth, truth.decidable)
 
 
 def truth_of_boxes(seen: Seen, boxes: list[trimesh.Trimesh], to_sun: np.ndarray) -> Truth:

@@ -27,14 +27,14 @@ from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
-from skugga.shadows.truth.metrics import LEAST_SIGHT, Errors, SeenShadow, errors_of, far_inside, sight_of
-from skugga.shadows.truth.truth import Truth, truth_of
+from skugga.shadows.truth.metrics import LEAST_SIGHT, ErrorMetrics, MetricCoverage, error_metrics, interior_region, metric_coverage
+from skugga.shadows.truth.truth import Truth, trace_truth
 from skugga.shadows.visibility import fill_steps
-from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import load_level
@@ -83,17 +83,17 @@ class Seen:
 
     @cached_property
     def truth(self) -> Truth:
-        return truth_of(self.buffer, self.scene, self.casters, light=self.light)
+        return trace_truth(self.buffer, self.scene, self.casters, light=self.light)
 
     @cached_property
-    def errors(self) -> Errors:
+    def errors(self) -> ErrorMetrics:
         """Every figure of ``skugga.shadows.truth.metrics`` against truth."""
-        return errors_of(self.visibility, self.truth, self.pixel_m, self.texels_px)
+        return error_metrics(self.visibility, self.truth, self.pixel_m, self.texels_px)
 
     @cached_property
     def pixel_m(self) -> float:
         """A pixel's side, metres."""
-        return describe(self.scene, self.view, pixels_show="points").pixel_m
+        return describe(self.scene, self.view, pixel_sampling="points").pixel_m
 
     @cached_property
     def texels_px(self) -> np.ndarray:
@@ -102,9 +102,9 @@ class Seen:
         return np.max([texel_footprint_px(self.scene, step, self.buffer, self.pixel_m) for step in steps or [None]], axis=0)
 
     @cached_property
-    def interior_sight(self) -> SeenShadow:
+    def interior_sight(self) -> MetricCoverage:
         """What ``errors.interior`` sees of the cast shadow."""
-        return sight_of(self.dark, self.truth, far_inside(self.truth, self.texels_px))
+        return metric_coverage(self.dark, self.truth, interior_region(self.truth, self.texels_px))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +114,9 @@ class Trial:
     algorithm: str
     thorough: bool
     folder: Path
-    sights: dict[str, list[SeenShadow]] = field(default_factory=dict)
+    sights: dict[str, list[MetricCoverage]] = field(default_factory=dict)
 
-    def saw(self, figure: str, *sights: SeenShadow) -> None:
+    def saw(self, figure: str, *sights: MetricCoverage) -> None:
         """Put on record what a figure could see of the cast shadow in some pictures."""
         self.sights.setdefault(figure, []).extend(sights)
 
@@ -164,10 +164,10 @@ class Trial:
         level = scene.loaded.level
         if scene.sun_is_up and level.effects == "auto":
             level = level.model_copy(update={"effects": {"cast_shadows": "on", "alpha_test": "on"}})
-        plan = make_plan(describe(scene, view, pixels_show="points"), level, {"algorithm": self.algorithm, **asked})
+        plan = make_plan(describe(scene, view, pixel_sampling="points"), level, {"algorithm": self.algorithm, **asked})
         light = light or scene.light_names[0]
-        buffer = geometry_of(scene, view)
-        casters, log = casters_of(scene, buffer), PassLog()
+        buffer = geometry_buffer(scene, view)
+        casters, log = find_casters(scene, buffer), PassLog()
         visibility = fill_steps(plan.steps_under(light), buffer, scene, casters, plan.runs, log)
         visibility[attached(buffer, scene, light)] = 0.0
         visibility[~buffer.there] = np.nan
@@ -207,12 +207,12 @@ class Case:
         return {**record, "figures": figures, "sights": {name: told(trial.sights[name]) for name in figures if name in judged}}
 
 
-def told(sights: list[SeenShadow]) -> dict[str, float]:
-    """``wrong_cast`` of the worst picture and ``sees`` of all; of all together, if none has much. Nothing where none has any."""
-    counts = zip(*((each.cast_px, each.seen_px, each.wrong_px, each.either_px) for each in sights), strict=True)
-    together = SeenShadow(*(sum(each) for each in counts)) if sights else SeenShadow(0, 0, 0, 0)
+def told(sights: list[MetricCoverage]) -> dict[str, float]:
+    """``wrong_cast`` of the worst picture and ``covered_share`` of all; of all together, if none has much. Nothing where none has any."""
+    counts = zip(*((each.cast_px, each.covered_px, each.wrong_px, each.either_px) for each in sights), strict=True)
+    together = MetricCoverage(*(sum(each) for each in counts)) if sights else MetricCoverage(0, 0, 0, 0)
     large = [each for each in sights if each.cast_px >= COUNTED_PX] or [together]
-    return {"wrong_cast": max(each.wrong_cast for each in large), "sees": together.sees} if together.cast_px else {}
+    return {"wrong_cast": max(each.wrong_cast for each in large), "sees": together.covered_share} if together.cast_px else {}
 
 
 def untested(record: Mapping[str, Any]) -> list[str]:

@@ -43,10 +43,10 @@ def _from_above(
     """A camera that looks down at so much ground round a place in the raster's CRS, from a little south of it."""
     elevation = scene.elevation
     point, up = scene.world.ground(elevation.crs, np.float64(at[0]), np.float64(at[1]))
-    away_m = extent_m / 2 / np.tan(np.radians(FOV_DEG / 2))
+    distance_m = extent_m / 2 / np.tan(np.radians(FOV_DEG / 2))
     low_m, high_m = height_range_m
     north = scene.world.earth_from_enu(point, up)[:, 1]
-    eye = point + (high_m + away_m) * up - 0.2 * away_m * north
+    eye = point + (high_m + distance_m) * up - 0.2 * distance_m * north
     return look_at(eye, point + (low_m + high_m) / 2 * up, up, FOV_DEG, pixels, pixels)
 
 

@@ -92,8 +92,8 @@ class FarPeak:
 
     def length_error(self, seen: Seen) -> float:
         """By what share of its length the shadow is longer or shorter anywhere behind the mesa's middle."""
-        away_m = self.lengths_m(seen)
-        dark, lit = away_m[seen.dark], away_m[seen.buffer.there & ~seen.dark]
+        distance_m = self.lengths_m(seen)
+        dark, lit = distance_m[seen.dark], distance_m[seen.buffer.there & ~seen.dark]
         dark, lit = dark[np.isfinite(dark)], lit[np.isfinite(lit)]
         assert dark.size > 500 and lit.size > 500, "the end of the shadow is in the picture"
         return float(max(dark.max() - self.length_m, self.length_m - lit.min(), 0.0) / self.length_m)

@@ -110,14 +110,14 @@ def _mirrored_azimuth() -> None:
 def _one_diagonal() -> None:
     from skugga.terrain.ground import sheet
 
-    sheet.cuts_of = lambda height: np.zeros((height.shape[0] - 1, height.shape[1] - 1), bool)
+    sheet.diagonal_cuts = lambda height: np.zeros((height.shape[0] - 1, height.shape[1] - 1), bool)
 
 
 def _first_facet() -> None:
     """A point that several facets share goes by the first that is found, whatever the light."""
     from skugga.shadows import attached
     from skugga.shadows.truth import truth
-    from skugga.terrain.gbuffer.shared_points import FacingNormals
+    from skugga.terrain.gbuffer.light_facing import FacingNormals
 
     def facing_normals(buffer: Any, light: Any) -> FacingNormals:
         nowhere = np.zeros(buffer.there.shape, bool)
@@ -131,21 +131,21 @@ def _first_facet() -> None:
 
 
 def _facets_at_the_terminator() -> None:
-    from skugga.terrain.gbuffer import shared_points
+    from skugga.terrain.gbuffer import light_facing
 
-    shared_points._go_by_smooth = lambda *_: None
+    light_facing._write_smooth_normals = lambda *_: None
 
 
 def _chords_shade_the_bulge() -> None:
     from skugga.shadows import visibility
 
-    visibility.on_smooth_ground = lambda buffer, light: buffer
+    visibility.move_to_smooth_ground = lambda buffer, light: buffer
 
 
 def _own_points() -> None:
     from skugga.shadows import render
 
-    render.coarse_pixels = lambda scene, view, plan: None  # type: ignore[assignment]
+    render.supersampling = lambda scene, view, plan: None  # type: ignore[assignment]
 
 
 MUTANTS = {

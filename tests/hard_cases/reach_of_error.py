@@ -19,13 +19,13 @@ from skugga.shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettin
 from skugga.shadows.maps.sun_disc import DISC_TAPS
 from skugga.shadows.maps.windows import sun_maps
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import SeenShadow, sight_of
+from skugga.shadows.truth.metrics import MetricCoverage, metric_coverage
 from skugga.shadows.truth.truth import ALL_KINDS, ray_scene
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters.casting import caster_trees
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from tests.hard_cases.cases import Seen
@@ -46,7 +46,7 @@ SIGNS = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]
 RING = ((0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1))
 """Rows and columns from a node to those round it, counter-clockwise."""
 
-ON_EDGE = 1e-5
+EDGE_TOLERANCE = 1e-5
 """How near to an edge, in cells, a point is shared by the triangles on either side, as in ``shaders/receiver.glsl``."""
 
 FLOAT_ULPS = 32.0 * 2.0**-24
@@ -66,16 +66,16 @@ def beyond(seen: Seen) -> np.ndarray:
     return wrong
 
 
-def beyond_sight(seen: Seen) -> SeenShadow:
+def beyond_sight(seen: Seen) -> MetricCoverage:
     """What ``beyond`` sees of the cast shadow: of how many of its pixels, were they lit, nothing within the reach would explain it.
 
     By a sample of the pixels, counted for all of them.
     """
-    whole = sight_of(seen.dark, seen.truth, seen.truth.decidable)
+    whole = metric_coverage(seen.dark, seen.truth, seen.truth.decidable)
     cast = np.flatnonzero(seen.truth.decidable & ~seen.truth.lit & seen.truth.there & ~seen.truth.attached)
     sample = cast[:: max(len(cast) // SAMPLED_PX, 1)]
     told = _unexplained(seen, sample, np.zeros(len(sample), bool))
-    return replace(whole, seen_px=round(whole.cast_px * float(told.mean())) if len(sample) else 0)
+    return replace(whole, covered_px=round(whole.cast_px * float(told.mean())) if len(sample) else 0)
 
 
 def _unexplained(seen: Seen, left: np.ndarray, dark: np.ndarray) -> np.ndarray:
@@ -183,7 +183,7 @@ def _connected(buffer: GeometryBuffer, left: np.ndarray, towards: np.ndarray) ->
     i, j = np.unravel_index(left, buffer.there.shape)
     at = np.stack([view.row0 - surface.row0 + i * view.row_step, view.col0 - surface.col0 + j * view.col_step], axis=1)
     # The nearest node; half-way between nodes, of these the one that is nearest to the sun.
-    low, high = np.ceil(at - 0.5 - ON_EDGE).astype(int), np.floor(at + 0.5 + ON_EDGE).astype(int)
+    low, high = np.ceil(at - 0.5 - EDGE_TOLERANCE).astype(int), np.floor(at + 0.5 + EDGE_TOLERANCE).astype(int)
     nearest = [np.column_stack([row[:, 0], col[:, 1]]) for row in (low, high) for col in (low, high)]
     height = [np.nan_to_num(surface.position_frame_m[tuple(each.T)] @ towards, nan=-np.inf) for each in nearest]
     node = np.stack(nearest)[np.argmax(height, axis=0), np.arange(len(left))]
@@ -204,7 +204,8 @@ def _connected(buffer: GeometryBuffer, left: np.ndarray, towards: np.ndarray) ->
     towards_sun = np.nan_to_num(normal @ towards / np.linalg.norm(normal, axis=-1), nan=-np.inf)
     holds = np.array(
         [
-            (start[:, 1] * north + start[:, 0] * east >= -ON_EDGE) & (-east * end[:, 0] - north * end[:, 1] >= -ON_EDGE)
+            (start[:, 1] * north + start[:, 0] * east >= -EDGE_TOLERANCE)
+            & (-east * end[:, 0] - north * end[:, 1] >= -EDGE_TOLERANCE)
             for start, end in ends
         ]
     )

@@ -11,10 +11,10 @@ import rasterio
 
 from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
 from skugga.shadows.attached import attached
-from skugga.shadows.truth.metrics import SeenShadow
-from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from skugga.terrain.casters.reach import casters_of
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.shadows.truth.metrics import MetricCoverage
+from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.terrain.casters.reach import find_casters
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from tests.hard_cases.cases import SHADOWING, Trial, hard_case
 from tests.hard_cases.test_every_side import grounds
 from tests.rasters import ENGINEERING
@@ -37,9 +37,9 @@ def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels_
     scene = trial.scene({"source": str(path), "surface": "blocks"}, sun)
     view = scene.view(bounds=(0.0, 0.0, cols * CELL_M, rows * CELL_M), size=(cols * pixels_a_cell, rows * pixels_a_cell))
     if trial.algorithm == "truth":
-        buffer = geometry_of(scene, view)
-        rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
-        return buffer.there & (attached(buffer, scene) | ~lit_from(buffer, scene, "sun", rays))
+        buffer = geometry_buffer(scene, view)
+        rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
+        return buffer.there & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
     return trial.see(scene, view, map_size=4096 if trial.thorough else 1024).dark
 
 
@@ -112,7 +112,7 @@ def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
             ground = ~roof & ~touched
             off, cast = int((dark != expected)[ground].sum()), int(expected[ground].sum())
             wrong += off
-            trial.saw("wrong cells on the ground", SeenShadow(cast, cast, off, int((dark | expected)[ground].sum())))
+            trial.saw("wrong cells on the ground", MetricCoverage(cast, cast, off, int((dark | expected)[ground].sum())))
     return {"dark roof cells": dark_roof, "wrong cells on the ground": wrong}
 
 

@@ -183,13 +183,13 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
     usual = trial.see(scene, view, **asked)
     assert len(settings_of(usual).cascades) == 3
     receivers = usual.buffer.there & ~usual.truth.attached
-    away_m = distances(usual.buffer.position_frame_m, view.in_frame(usual.buffer.frame)[0])
+    distance_m = distances(usual.buffer.position_frame_m, view.in_frame(usual.buffer.frame)[0])
     worst = {"not_in_one_map": 0.0, "wrong beyond its reach": 0.0, "pixels that differ": 0.0}
     row = view.rows * 2 // 3
     for col in range(0, view.cols, view.cols // (16 if trial.thorough else 3)):
         if not receivers[row, col]:
             continue
-        at_m, before, near = away_m[row, col], None, []
+        at_m, before, near = distance_m[row, col], None, []
         for far_m in (np.nextafter(at_m, np.float32(0)), at_m, np.nextafter(at_m, np.float32(np.inf))):
             seen = changed(usual, parted_at(float(far_m)))
             maps = sun_maps(seen.buffer, scene, settings_of(seen), None)
@@ -199,7 +199,7 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
             worst["wrong beyond its reach"] = max(worst["wrong beyond its reach"], float(beyond(seen).mean()))
             trial.saw("wrong beyond its reach", beyond_sight(seen))
             if before is not None:
-                same = np.count_nonzero(receivers & (away_m == far_m)) + np.count_nonzero(receivers & (away_m == at_m)) - 1
+                same = np.count_nonzero(receivers & (distance_m == far_m)) + np.count_nonzero(receivers & (distance_m == at_m)) - 1
                 worst["pixels that differ"] = max(worst["pixels that differ"], np.count_nonzero(before != seen.dark) / max(same, 1))
             before = seen.dark
         assert set(near[1]) - set(near[0]) and np.array_equal(near[1], near[2]), "the pixel changes from one map to the other"

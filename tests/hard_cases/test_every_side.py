@@ -9,10 +9,10 @@ from scipy.ndimage import minimum_filter
 
 from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
 from skugga.shadows.attached import attached
-from skugga.shadows.truth.metrics import SeenShadow
-from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from skugga.terrain.casters.reach import casters_of
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.shadows.truth.metrics import MetricCoverage
+from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.terrain.casters.reach import find_casters
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
 from tests.hard_cases.cases import SHADOWING, Trial, hard_case
@@ -54,9 +54,9 @@ def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels:
     view = scene.view(bounds=(0.0, 0.0, side_m, side_m), size=(pixels, pixels))
     assert isinstance(view, MapView) and view.on_nodes == (pixels == len(heights))
     if trial.algorithm == "truth":
-        buffer = geometry_of(scene, view)
-        rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
-        return buffer.there & (attached(buffer, scene) | ~lit_from(buffer, scene, "sun", rays))
+        buffer = geometry_buffer(scene, view)
+        rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
+        return buffer.there & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
     return trial.see(scene, view, map_size=4096 if trial.thorough else 1024).dark
 
 
@@ -121,7 +121,7 @@ def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
         expected = 39 * 10 + 2 * 5 if diagonal else ROOF * 10
         off = abs(int(dark.sum()) - expected)
         wrong = max(wrong, off / expected)
-        trial.saw("wrong nodes on the ground", SeenShadow(expected, expected, off, max(expected, int(dark.sum()))))
+        trial.saw("wrong nodes on the ground", MetricCoverage(expected, expected, off, max(expected, int(dark.sum()))))
     return {"dark roof nodes": dark_roof, "wrong nodes on the ground": wrong}
 
 
@@ -191,9 +191,9 @@ def _wrong_beyond_a_pixel(trial: Trial, azimuth: float, view: dict[str, Any]) ->
     path = trial.raster(heights, ENGINEERING, -side_m / 2.0, side_m / 2.0, DOME_CELL_M)
     scene = trial.scene(path, (azimuth, DOME_SUN_DEG), views={"main": view})
     if trial.algorithm == "truth":
-        buffer = geometry_of(scene, scene.view("main"))
-        rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
-        dark = attached(buffer, scene) | ~lit_from(buffer, scene, "sun", rays)
+        buffer = geometry_buffer(scene, scene.view("main"))
+        rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
+        dark = attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays)
     else:
         seen = trial.see(scene, scene.view("main"))
         buffer, dark = seen.buffer, seen.dark

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from skugga.shadows.maps.windows import distances
-from skugga.shadows.truth.metrics import sight_of
+from skugga.shadows.truth.metrics import metric_coverage
 from skugga.terrain.casters.reach import longest_shadow_m
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.gbuffer.resolve import MESHES
-from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.lights import light_position
 from skugga.terrain.scene import Scene
@@ -71,7 +71,7 @@ def test_the_sun_crosses_the_horizon(trial: Trial) -> dict[str, float]:
     worst = {"not_a_number": 0.0, "lit_though_turned_away": 0.0, "change": 0.0}
     for view in views_of(trial, scene, size):
         before = None
-        buffer = geometry_of(scene, view)
+        buffer = geometry_buffer(scene, view)
         for altitude in np.linspace(0.01, -0.01, steps):
             now = scene.with_sun(SunSpec(azimuth=250.0, altitude=float(altitude)))
             frame = render(now, view, algorithm=trial.algorithm)
@@ -114,8 +114,8 @@ def horizon_scene(trial: Trial) -> Scene:
 def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
     """Its shadow is a strip along the view. What lies within a texel of its outline, or a pixel without these, does not count."""
     height_m, thick_m, altitude = 200.0, 20.0, 30.0
-    away_m = (height_m + thick_m / 2) / np.tan(np.radians(altitude))
-    beam = box((thick_m, 10_000.0, thick_m), height_m, (away_m, 0.0))
+    distance_m = (height_m + thick_m / 2) / np.tan(np.radians(altitude))
+    beam = box((thick_m, 10_000.0, thick_m), height_m, (distance_m, 0.0))
     eye = {"kind": "perspective", "eye": [0, -4500, 100], "target": [0, -3500, 100 - 1000 * np.tan(np.radians(20.6))], "fov": 40}
     ground = {"flat": {"size": [24_000, 24_000], "cells": [24, 24]}}
     scene = trial.scene(ground, (90, altitude), [beam], views={"eye": eye})
@@ -126,13 +126,13 @@ def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
     point = seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m
     half_m = thick_m / 2 + thick_m / 2 / np.tan(np.radians(altitude))
     beyond_m = np.abs(point[..., 0]) - half_m  # of the strip's edge
-    away_m = distances(seen.buffer.position_frame_m, seen.view.in_frame(seen.buffer.frame)[0])
-    margin_m = away_m * seen.view.pixel
+    distance_m = distances(seen.buffer.position_frame_m, seen.view.in_frame(seen.buffer.frame)[0])
+    margin_m = distance_m * seen.view.pixel
     if trial.algorithm == "shadow_map":
         cascades = seen.plan.steps[0].settings.cascades
-        number = np.searchsorted([cascade.far_m for cascade in cascades[:-1]], away_m)
+        number = np.searchsorted([cascade.far_m for cascade in cascades[:-1]], distance_m)
         margin_m = np.array([cascade.texel_m[1] for cascade in cascades])[number] / np.sin(np.radians(altitude))
         assert set(number[beyond_m < -margin_m]) == {0, 1, 2, 3}, "the strip lies in all cascades"
     inside, outside = beyond_m < -margin_m, beyond_m > margin_m
-    trial.saw("missed_shadow", sight_of(seen.dark, seen.truth, inside))
+    trial.saw("missed_shadow", metric_coverage(seen.dark, seen.truth, inside))
     return {"missed_shadow": float((~seen.dark)[inside].mean()), "false_shadow": float(seen.dark[outside].mean())}

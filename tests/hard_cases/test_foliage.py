@@ -17,10 +17,10 @@ from skugga.shadows.maps import drawing as map_drawing
 from skugga.shadows.truth.metrics import block_shares, coverage_error
 from skugga.shadows.truth.truth import coverage_truth
 from skugga.terrain.casters import rays
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer import id_buffer, tree_instances
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
@@ -240,8 +240,8 @@ def test_stands(trial: Trial) -> dict[str, float]:
     assert seen.buffer.tree_instances is not None and len(seen.buffer.tree_instances) < 0.7 * count and 0.1 < shadow < 0.9
     errors = [error]
     with whole_stands():
-        everything = geometry_of(scene, view.finer(SIDE))
-        true = coverage_truth(everything, scene, casters_of(scene, everything), 16 * SIDE, blocks, 4)
+        everything = geometry_buffer(scene, view.finer(SIDE))
+        true = coverage_truth(everything, scene, find_casters(scene, everything), 16 * SIDE, blocks, 4)
     shares = shares_of(seen)
     there = np.isfinite(true) & np.isfinite(shares)
     for scene, view in (cliff(trial), border(trial)):

@@ -10,8 +10,8 @@ from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Step
 from skugga.shadows.visibility import fill_steps
-from skugga.terrain.casters.reach import casters_of
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.casters.reach import find_casters
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.scene import Scene
 from tests.hard_cases.bodies import FLOOR, SPOT, eye, joined, not_a_number, soup
 from tests.hard_cases.cases import Trial, View, hard_case
@@ -43,9 +43,9 @@ def filled(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, 
     step = trial.see(full, asked).plan.steps[0]
     # level ground, where nothing rises, or meshes that are not there
     kinds = ("relief",) if trial.algorithm == "sweep" else ("meshes",)
-    buffer, log = geometry_of(scene, scene.view(view, size=size)), PassLog()
+    buffer, log = geometry_buffer(scene, scene.view(view, size=size)), PassLog()
     forced = Step(step.light, kinds, step.algorithm, step.settings)
-    visibility = fill_steps([forced], buffer, scene, casters_of(scene, buffer), (), log)
+    visibility = fill_steps([forced], buffer, scene, find_casters(scene, buffer), (), log)
     receives = buffer.there & ~attached(buffer, scene, step.light)
     return visibility[receives], bool(buffer.there.any()), sum(record.draws for record in log.records.values())
 

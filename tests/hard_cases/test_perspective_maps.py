@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from skugga.shadows.truth.metrics import sight_of
+from skugga.shadows.truth.metrics import metric_coverage
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.scene import Scene
 from tests.hard_cases.blocks import OnGround, axis_off, block, camera, figures_on_ground, flat, shade, towards, true_shade
@@ -56,7 +56,7 @@ def look(
     truth = true_shade(seen, hulls)
     found = figures_on_ground(seen, truth, hulls)
     trial.saw("interior", found.interior_sight)
-    trial.saw(DISPLACED, sight_of(seen.dark, truth, truth.decidable))
+    trial.saw(DISPLACED, metric_coverage(seen.dark, truth, truth.decidable))
     shadow = float((truth.there & ~truth.lit).sum() / max(truth.there.sum(), 1))
     nowhere = float((~np.isfinite(seen.visibility) & seen.buffer.there).mean())
     return seen, {
@@ -115,7 +115,7 @@ def test_sun_behind_the_viewer(trial: Trial) -> dict[str, float]:
         other = plain.see(scene, view, map_size=size(trial)[1], cascades=1, fit="tight", filter=1)
         hulls = shade(THINGS, sun)
         beside = figures_on_ground(other, true_shade(other, hulls), hulls)
-        trial.saw("edge p95 beyond a shadow map's, px", own.edge_sight)
+        trial.saw("edge p95 beyond a shadow map's, px", own.edge_metric_coverage)
         found.append({**figures, "beyond": figures["edge_p95_px"] - beside.edge_p95_px})
     figures = worst(found)
     return {
@@ -140,7 +140,7 @@ def test_sun_across_the_view(trial: Trial) -> dict[str, float]:
     for angle in (-2.0, -0.1, -0.01, *steps, 0.01, 0.1, 2.0) if trial.thorough else (-1.0, *steps, 1.0):
         axis = axis_off(towards(*sun), np.array([0.0, 1.0, -0.5]), 90.0 + angle)
         _, figures, own = look(trial, scene, things, camera(eye, axis, 60.0, size(trial)[0]))
-        trial.saw("jump of edge_p95_px", own.edge_sight)
+        trial.saw("jump of edge_p95_px", own.edge_metric_coverage)
         found.append(figures)
     edges = [each["edge_p95_px"] for each in found]
     figures = worst(found)
@@ -171,7 +171,7 @@ def test_casters_in_the_plane_of_the_eye(trial: Trial) -> dict[str, float]:
             for shift in (-3, 3):
                 for side in (0, 1):
                     deep &= np.roll(truth.decidable & ~truth.lit, shift, axis=side)
-            trial.saw("missed_shadow", sight_of(seen.dark, truth, deep))
+            trial.saw("missed_shadow", metric_coverage(seen.dark, truth, deep))
             assert deep.sum() > 300 * (size(trial)[0] / 160) ** 2
             found.append({**figures, "missed_shadow": float((deep & ~seen.dark).sum() / deep.sum())})
     figures = worst(found)

@@ -98,9 +98,9 @@ def off_outline_m(seen: Seen, place: Place, azimuth: float, altitude: float) -> 
         lon, lat = Transformer.from_crs(place.crs, "OGC:CRS84", always_xy=True).transform(x + at[:, 0], y + at[:, 1])
         corners.append(np.stack(local.transform(*_to_earth().transform(lon, lat, np.full(len(lon), height_m))), axis=-1))
     away = -np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))]) / np.tan(np.radians(altitude))
-    on_level = [corner[:, :2] + corner[:, 2:] * away for corner in (*corners, points.reshape(-1, 3))]
-    hull = ConvexHull(np.concatenate(on_level[:2]))
-    outside = np.max(on_level[2] @ hull.equations[:, :2].T + hull.equations[:, 2], axis=-1).reshape(points.shape[:2])
+    to_level = [corner[:, :2] + corner[:, 2:] * away for corner in (*corners, points.reshape(-1, 3))]
+    hull = ConvexHull(np.concatenate(to_level[:2]))
+    outside = np.max(to_level[2] @ hull.equations[:, :2].T + hull.equations[:, 2], axis=-1).reshape(points.shape[:2])
     ground = seen.buffer.there & (np.abs(seen.buffer.height_m) < 1e-3)
     foot_hull = ConvexHull(corners[1][:, :2])
     beside = np.max(points[..., :2] @ foot_hull.equations[:, :2].T + foot_hull.equations[:, 2], axis=-1) > 0.05

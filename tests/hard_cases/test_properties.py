@@ -170,10 +170,12 @@ def view_of(it: Situation, scene: Scene) -> View:
 def _place(it: Situation, share: tuple[float, float]) -> list[float]:
     """Metres from the middle, or degrees, of a place given in shares of the ground's sides."""
     crs, x, y, units = PLACES[it.place]
-    away_m = [(s - 0.5) * it.cells * it.cell_m for s in share]
+    distance_m = [(s - 0.5) * it.cells * it.cell_m for s in share]
     if crs == ENGINEERING:
-        return away_m
-    return list(Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(x + away_m[0] * units, y + away_m[1] * units))
+        return distance_m
+    return list(
+        Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(x + distance_m[0] * units, y + distance_m[1] * units)
+    )
 
 
 def matrices(seen: Seen) -> tuple[float, float]:

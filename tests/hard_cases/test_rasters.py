@@ -9,7 +9,7 @@ import pytest
 import rasterio
 from affine import Affine
 
-from skugga.shadows.truth.metrics import sight_of
+from skugga.shadows.truth.metrics import metric_coverage
 from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.world import geocentric, geodetic
 from skugga.terrain.ground.elevation import Elevation
@@ -312,7 +312,7 @@ def test_grids_of_the_earth(trial: Trial) -> dict[str, float]:
         _, up = geocentric(lon, lat)
         altitude = np.full(there.shape, np.nan)
         altitude[there] = np.degrees(np.arcsin(np.clip(up @ scene.sun.to_sun_earth, -1.0, 1.0)))
-        trial.saw("missed_shadow", sight_of(seen.dark, seen.truth, np.abs(altitude) > 1.0))
+        trial.saw("missed_shadow", metric_coverage(seen.dark, seen.truth, np.abs(altitude) > 1.0))
         worst = larger(worst, {
             "false_shadow": share(seen.dark, altitude > 1.0), "missed_shadow": share(~seen.dark, altitude < -1.0),
             "surface lost or made up": 1.0 - float(there[1:-1, 1:-1].mean()),

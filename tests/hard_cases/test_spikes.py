@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skugga.selector.measure.footprint import texel_footprint_px
-from skugga.shadows.truth.metrics import sight_of
+from skugga.shadows.truth.metrics import metric_coverage
 from skugga.terrain.describe import describe
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
@@ -95,7 +95,7 @@ def test_a_cliff(trial: Trial) -> dict[str, float]:
         end_px = max(end_px, (abs(x[cast].max() - end_m) - texel_m(seen)) / pixel_m)
         deep = inside & (x > brink_m + CELL_M) & (x < end_m - 2 * pixel_m)
         missed_shadow = max(missed_shadow, share(~seen.dark, deep))
-        trial.saw("missed_shadow", sight_of(seen.dark, seen.truth, deep))
+        trial.saw("missed_shadow", metric_coverage(seen.dark, seen.truth, deep))
         false_shadow = max(false_shadow, share(seen.dark, inside & ((x < brink_m - 1.0) | (x > end_m + 2 * pixel_m))))
     return {"end_px": end_px, "false_shadow": false_shadow, "missed_shadow": missed_shadow}
 
@@ -133,6 +133,6 @@ def test_saw_teeth(trial: Trial) -> dict[str, float]:
         sure = inside & (np.abs(clear_m) > margin_m) & (np.abs(phase - 1.0) < 0.98)
         assert 0.1 < sure.mean()
         wrong = max(wrong, share(seen.dark != dark, sure))
-        trial.saw("wrong", sight_of(seen.dark, seen.truth, sure))
+        trial.saw("wrong", metric_coverage(seen.dark, seen.truth, sure))
         not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.there))
     return {"wrong": wrong, "not finite": not_finite}

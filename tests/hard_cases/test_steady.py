@@ -16,10 +16,10 @@ from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, sun_maps
 from skugga.shadows.passes import PassRecord
 from skugga.shadows.plan import Step
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.gl.device import device
@@ -113,7 +113,7 @@ def _dark_by(scene: Scene, step: Step, drawn_for: GeometryBuffer, points: Geomet
         seen = drawn_for.there & ~turned_away[0]
         drawn = perspective_shadow_map.perspective_map(drawn_for, seen, scene, step.light, step.settings, None).drawn
     gl, record, visibility = device(), PassRecord("map"), np.ones(points.there.shape, np.float32)
-    target = draw_map(gl, drawn, drawn_for, scene, step.kinds, casters_of(scene, drawn_for), step.settings, record)
+    target = draw_map(gl, drawn, drawn_for, scene, step.kinds, find_casters(scene, drawn_for), step.settings, record)
     asked = np.flatnonzero(points.there & ~turned_away[1])
     look_up(
         gl,
@@ -239,7 +239,7 @@ def test_a_full_turn(trial: Trial) -> dict[str, float]:
             frames, steps = frames + 1, steps + (before is not None and before != texel_m.tolist())
             before = texel_m.tolist()
         pair = [turned(view, up, degree + 0.01 * frame) for frame in (0, 1)]
-        if geometry_of(scene, pair[0]).there.mean() > 0.3:
+        if geometry_buffer(scene, pair[0]).there.mean() > 0.3:
             shares += map_flickers(trial, scene, pair, map_size=256)
     assert frames >= 20 and len(shares) > 2
     return {"off the ladder": off / frames, "flicker": float(np.mean(shares)), "frames that step": steps / frames}

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from skugga.shadows.truth.metrics import MOST_INTERIOR, sight_of
+from skugga.shadows.truth.metrics import MOST_INTERIOR, metric_coverage
 from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.geo.sun import sun_of
 from skugga.terrain.geo.sun_path import YEARS
@@ -43,7 +43,7 @@ def test_suns_at_the_limits(trial: Trial) -> dict[str, float]:
             light = max(light, share(~seen.dark, there))
         else:
             wrong = max(wrong, seen.errors.wrong)
-            trial.saw("wrong", sight_of(seen.dark, seen.truth, seen.truth.decidable))
+            trial.saw("wrong", metric_coverage(seen.dark, seen.truth, seen.truth.decidable))
     return {"not finite": not_finite, "light at night": light, "wrong": wrong}
 
 

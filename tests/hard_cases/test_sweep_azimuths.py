@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skugga.shadows.truth.metrics import edge_sight, errors_of, far_inside, sight_of
+from skugga.shadows.truth.metrics import edge_metric_coverage, error_metrics, interior_region, metric_coverage
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
@@ -91,13 +91,13 @@ def test_every_azimuth(trial: Trial) -> dict[str, float]:
         under = scene.with_sun(SunSpec(azimuth=float(azimuth), altitude=10.0))
         west, east, together = (trial.see(under, view) for view in windows(trial, under, pixels))
         truth, visibility = together.truth, np.hstack([west.visibility, east.visibility])
-        found = errors_of(visibility, truth, CELL_M)
+        found = error_metrics(visibility, truth, CELL_M)
         assert 0.05 < (visibility < 0.5).mean() < 0.95
         edge_px, interior, dark = max(edge_px, found.edge_p95), max(interior, found.interior), visibility < 0.5
-        trial.saw("edge_p95_px", edge_sight(dark, truth))
-        trial.saw("interior", sight_of(dark, truth, far_inside(truth)))
+        trial.saw("edge_p95_px", edge_metric_coverage(dark, truth))
+        trial.saw("interior", metric_coverage(dark, truth, interior_region(truth)))
         wrong, middle = truth.decidable & ((visibility < 0.5) == truth.lit), near_seam(pixels)
         at_the_seam = max(at_the_seam, share(wrong, truth.decidable & middle))
         beside = replace(truth, decidable=truth.decidable & middle)
-        trial.saw("wrong at the seam", sight_of(dark, beside, middle))
+        trial.saw("wrong at the seam", metric_coverage(dark, beside, middle))
     return {"edge_p95_px": edge_px, "interior": interior, "wrong at the seam": at_the_seam}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from morecantile import tms as matrix_sets
 
-from skugga.shadows.truth.metrics import edge_distances, edge_sight
-from skugga.terrain.gbuffer.picture import frame_of
+from skugga.shadows.truth.metrics import edge_distances, edge_metric_coverage
+from skugga.terrain.gbuffer.view_geometry import view_frame
 from skugga.terrain.geo.grid import MapView, tile_grid
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
@@ -41,7 +41,7 @@ def test_tiles_join(trial: Trial) -> dict[str, float]:
         scene = mountains.with_sun(SunSpec(azimuth=237.0, altitude=altitude))
         tile = block_at(LON, LAT, ZOOM).part(313, 200, px, px)
         beside = tile.part(0, px // 2, px, px)
-        assert frame_of(scene, tile) is frame_of(scene, beside)
+        assert view_frame(scene, tile) is view_frame(scene, beside)
         same = max(same, _differing(trial, scene, tile, beside))
         last = _last_of_its_frame(scene, tile)
         across = max(across, _differing(trial, scene, last, last.part(0, px // 2, px, px)))
@@ -76,8 +76,8 @@ def _on_edges(seen: Seen) -> np.ndarray:
 def _last_of_its_frame(scene: Scene, tile: MapView) -> MapView:
     """The tile as far east as its frame goes: half a tile on another one begins."""
     half = tile.cols // 2
-    own = frame_of(scene, tile)
-    while frame_of(scene, tile.part(0, half, tile.rows, tile.cols)) is own:
+    own = view_frame(scene, tile)
+    while view_frame(scene, tile.part(0, half, tile.rows, tile.cols)) is own:
         tile = tile.part(0, half, tile.rows, tile.cols)
     return tile
 
@@ -89,6 +89,6 @@ def _zoom_edges_px(trial: Trial, scene: Scene, tile: MapView) -> np.ndarray:
     coarse, fine = trial.see(scene, tile), trial.see(scene, finer)
     doubled = np.repeat(np.repeat(coarse.dark, 2, axis=0), 2, axis=1)
     distances = edge_distances(fine.dark, doubled, fine.buffer.there) / 2.0
-    trial.saw("edge_p95_px", edge_sight(doubled, fine.truth))
+    trial.saw("edge_p95_px", edge_metric_coverage(doubled, fine.truth))
     assert distances.size > 100, "edges"
     return distances

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.truth.metrics import sight_of
+from skugga.shadows.truth.metrics import metric_coverage
 from skugga.shadows.volumes.views import near_plane_m
 from skugga.terrain.gbuffer.resolve import RELIEF
 from tests.hard_cases.bodies import (
@@ -170,5 +170,5 @@ def test_stacks_of_volumes(trial: Trial) -> dict[str, float]:
             assert dark.sum() > 100 and lit.sum() > 100
             missed, false = max(missed, float((~seen.dark)[dark].mean())), max(false, float(seen.dark[lit].mean()))
             on_floor = replace(seen.truth, decidable=seen.truth.decidable & floor)
-            trial.saw("missed_shadow", sight_of(seen.dark, on_floor, dark))
+            trial.saw("missed_shadow", metric_coverage(seen.dark, on_floor, dark))
     return {"missed_shadow": missed, "false_shadow": false}

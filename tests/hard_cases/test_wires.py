@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 import trimesh
 
-from skugga.shadows.truth.metrics import sight_of
+from skugga.shadows.truth.metrics import metric_coverage
 from skugga.shadows.truth.truth import Truth
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.grid import MapView
@@ -61,12 +61,12 @@ def truly_dark(seen: Seen, hulls: list[shapely.Polygon]) -> np.ndarray:
     return out
 
 
-def beyond(seen: Seen, wrong: np.ndarray, hulls: list[shapely.Polygon], away_m: float) -> np.ndarray:
+def beyond(seen: Seen, wrong: np.ndarray, hulls: list[shapely.Polygon], distance_m: float) -> np.ndarray:
     """Those of some pixels whose centres lie farther than that from any outline, bool (rows, cols)."""
     out = wrong.copy()
     points = seen.buffer.position_frame_m[wrong] @ seen.buffer.frame.frame_from_earth + seen.buffer.frame.origin_earth_m
     outline = shapely.union_all(hulls).boundary
-    out[wrong] = shapely.distance(outline, shapely.points(points[:, :2])) > away_m
+    out[wrong] = shapely.distance(outline, shapely.points(points[:, :2])) > distance_m
     return out
 
 
@@ -97,7 +97,7 @@ def test_wires(trial: Trial) -> dict[str, float]:
         wrong = beyond(seen, ground & (seen.dark != real), hulls, SIDE_M / px / 256.0)
         differ = (seen.dark != other.dark) & ground
         truth = Truth(ground & ~real, np.zeros_like(real), ground, ground)
-        trial.saw("missed_shadow", sight_of(seen.dark, truth, beyond(seen, ground & real, hulls, SIDE_M / px / 256.0)))
+        trial.saw("missed_shadow", metric_coverage(seen.dark, truth, beyond(seen, ground & real, hulls, SIDE_M / px / 256.0)))
         found.append(
             ((wrong & real).sum() / real.sum(), (wrong & ~real).sum() / (ground & ~real).sum(), differ.sum() / ground.sum())
         )

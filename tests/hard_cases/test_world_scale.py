@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View, hard_case

@@ -21,7 +21,7 @@ from skugga.selector import replanning
 from skugga.selector.choices import Choice
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.planner.planner import make_plan
-from skugga.selector.replanning import MOST_CHANGED, PATIENCE, Replanner, casting, mixed_pictures, next_share
+from skugga.selector.replanning import MOST_CHANGED, PATIENCE, Replanner, casting, mix_pictures, next_share
 from skugga.selector.select import select
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
@@ -196,12 +196,12 @@ def test_of_a_switch_in_flight_little_is_seen(gl, flight, level):
         plan = director.plan(each.descriptor, level)
         if len(steps) == SEEN:
             break
-        if director.handover is None:
+        if director.transition is None:
             continue
-        old, new = (render_frame(each.scene, each.view, its) for its in (director.handover.plan, plan))
+        old, new = (render_frame(each.scene, each.view, its) for its in (director.transition.plan, plan))
         before, share = share, director.share(old.visibilities, new.visibilities)
         assert share > before
-        steps.append(changed(*(mixed_pictures(old.visibility, new.visibility, shown) for shown in (before, share))))
+        steps.append(changed(*(mix_pictures(old.visibility, new.visibility, shown) for shown in (before, share))))
         differing.append(changed(old.visibility, new.visibility))
     assert len(steps) == SEEN and max(differing) > 3.0 * MOST_CHANGED  # else nothing would be tested
     assert max(steps) <= MOST_CHANGED
@@ -217,7 +217,7 @@ def test_a_switch_ends_and_changes_few_pixels_a_frame_whatever_it_is_between(row
     most, share, frames = max(int(MOST_CHANGED * there.sum()), 1), 0.0, 0
     while share < 1.0:
         shown, share, frames = share, next_share(before, after, share), frames + 1
-        classes = [np.stack([mixed_pictures(before[k], after[k], each) < 0.5 for k in before]) for each in (shown, share)]
+        classes = [np.stack([mix_pictures(before[k], after[k], each) < 0.5 for k in before]) for each in (shown, share)]
         assert (classes[0] != classes[1]).any(axis=0).sum() <= most
     differ = np.any([(before[k] < 0.5) != (after[k] < 0.5) for k in before], axis=0)
     assert frames == max(np.ceil(differ.sum() / most), 1)
@@ -235,18 +235,18 @@ EXACT = choice("sweep shadow_volume shadow_map", map_size=4096)
 
 
 class Turning:
-    """A policy that takes one of some picks, which a test turns to another one. It takes ``least_ms``, others ``other_ms``, and all
+    """A policy that takes one of some picks, which a test turns to another one. It takes ``min_ms``, others ``other_ms``, and all
     are expected to be right.
     """
 
-    def __init__(self, *choices: Choice, least_ms: float = 1.0, other_ms: float = 10.0) -> None:
-        self.choices, self.now, self.least_ms, self.other_ms = choices, 0, least_ms, other_ms
+    def __init__(self, *choices: Choice, min_ms: float = 1.0, other_ms: float = 10.0) -> None:
+        self.choices, self.now, self.min_ms, self.other_ms = choices, 0, min_ms, other_ms
 
     def __call__(self, descriptor: Descriptor, plan_request: Level, overrides: dict | None) -> Plan:
         taken = {SUN: self.choices[self.now]}
         plan = make_plan(descriptor, plan_request, overrides, taken)
         own = chosen(plan) == chosen(make_plan(descriptor, plan_request, None, taken))
-        predicted = Predicted(ms=self.least_ms if own else self.other_ms, wrong=0.0, wrong_cast=0.0)
+        predicted = Predicted(ms=self.min_ms if own else self.other_ms, wrong=0.0, wrong_cast=0.0)
         return plan.model_copy(update={"policy": "predict", "predicted": predicted})
 
 
@@ -268,16 +268,16 @@ def test_a_switch_before_a_camera_that_stands_changes_few_pixels_a_frame(gl, sce
     for _ in range(PATIENCE + 200):
         visibilities = drawn(director.plan(at.descriptor, level))
         picture = visibilities[SUN]
-        if director.handover is not None:
-            left = drawn(director.handover.plan)
-            picture, mixed = mixed_pictures(left[SUN], picture, director.share(left, visibilities)), mixed + 1
+        if director.transition is not None:
+            left = drawn(director.transition.plan)
+            picture, mixed = mix_pictures(left[SUN], picture, director.share(left, visibilities)), mixed + 1
         shown.append(picture)
     steps = [changed(before, after) for before, after in pairwise(shown)]
     there = int((~np.isnan(shown[0])).sum())
     assert 0.0 < max(steps) <= MOST_CHANGED
     assert mixed == np.ceil(round(changed(shown[0], shown[-1]) * there) / int(MOST_CHANGED * there))
     assert np.array_equal(shown[-1], drawn(director.plan(at.descriptor, level))[SUN], equal_nan=True)
-    assert director.handover is None and len(pictures) == 2
+    assert director.transition is None and len(pictures) == 2
 
 
 def test_new_casters_are_drawn_at_once_and_what_cast_before_is_handed_over(gl, scene, level):
@@ -289,16 +289,16 @@ def test_new_casters_are_drawn_at_once_and_what_cast_before_is_handed_over(gl, s
     policy.now = 1
     plan = director.plan(inside.descriptor, level)
     assert chosen(plan)[SUN, "forest"][0] == "perspective_shadow_map"
-    assert director.handover is not None and chosen(director.handover.plan)[SUN, "forest"][0] == "shadow_map"
-    old, new = (render_frame(scene, inside.view, its) for its in (director.handover.plan, plan))
+    assert director.transition is not None and chosen(director.transition.plan)[SUN, "forest"][0] == "shadow_map"
+    old, new = (render_frame(scene, inside.view, its) for its in (director.transition.plan, plan))
     share = director.share(old.visibilities, new.visibilities)
-    assert changed(old.visibility, mixed_pictures(old.visibility, new.visibility, share)) <= MOST_CHANGED
+    assert changed(old.visibility, mix_pictures(old.visibility, new.visibility, share)) <= MOST_CHANGED
     assert changed(old.visibility, new.visibility) > MOST_CHANGED
 
 
 def test_casters_that_come_back_are_no_news(scene, level):
     """Foliage that was picked for, left out of view and back: what is no better is not taken."""
-    off, across, policy = moment(scene, OFF), moment(scene, ACROSS), Turning(COARSE, PERSPECTIVE, least_ms=1.0, other_ms=1.0)
+    off, across, policy = moment(scene, OFF), moment(scene, ACROSS), Turning(COARSE, PERSPECTIVE, min_ms=1.0, other_ms=1.0)
     director = Replanner(plans=policy)
     plans = [director.plan(off.descriptor, level), director.plan(across.descriptor, level)]
     policy.now = 1
@@ -311,7 +311,7 @@ def crossings(descriptor: Descriptor, level: Level, swing: float, frames: int, r
     """Switches of a camera that crosses a tie of two plans again and again: for some frames in a row the one takes less time by a
     share than the other, then the other way round.
     """
-    policy, plans = Turning(COARSE, CASCADES, least_ms=1.0 - swing, other_ms=1.0), []
+    policy, plans = Turning(COARSE, CASCADES, min_ms=1.0 - swing, other_ms=1.0), []
     director = Replanner(plans=policy)
     for run in range(runs):
         policy.now = run % 2
@@ -365,5 +365,5 @@ def test_with_pins_the_switch_is_where_they_say(scene, level):
         plan, altitude = director.plan(each.descriptor, pinned), each.descriptor.sun_altitude_deg
         names = {name for (_, kind), (name, *_) in chosen(plan).items() if kind in ("relief", "meshes")}
         if names:
-            assert names <= ({"sweep", "hybrid"} if altitude <= 20.0 else {"shadow_map"}) and director.handover is None
+            assert names <= ({"sweep", "hybrid"} if altitude <= 20.0 else {"shadow_map"}) and director.transition is None
     assert any(each.descriptor.sun_altitude_deg <= 20.0 for each in moments)

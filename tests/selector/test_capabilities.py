@@ -132,7 +132,8 @@ def test_it_renders_or_says_why_not(gl, seen, name, light, caster, kind, ground)
         with pytest.raises(UnsupportedError) as caught:
             plan_of(scene, view, algorithm=only(name, light, caster))
         said = str(caught.value)
-        assert said.startswith(f"algorithm: '{name} for {caster} under {light}' cannot be served: {why}; algorithms that can: ")
+        refused = f"algorithm: '{name} for {caster} under {light}' is not supported here"
+        assert said.startswith(f"{refused}: {why}; algorithms that can: ")
         assert "\n" not in said and name not in said.split("algorithms that can: ")[1]
 
 
@@ -162,7 +163,7 @@ def test_what_fills_is_what_has_passes():
         ("shadow_volume", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
         ("hybrid", {"forest": "knows no texture", "bent map": "a quarter of a pixel"}),
         ("planar", {"uneven": "the ground is not flat: planar projects casters onto one plane"}),
-        ("sweep", {"spot": "azimuth", "omni": "azimuth", "meshes": "one height per place", "forest": "heightfield"}),
+        ("sweep", {"spot": "azimuth", "omni": "azimuth", "meshes": "one height per position", "forest": "heightfield"}),
     ],
 )
 def test_refusals_are_these(name, refused):
@@ -192,7 +193,7 @@ def test_a_sweep_falls_back_to_maps_where_rays_bend_and_says_so(gl, write_raster
         frame = render_frame(scene, view, plan)
         assert [record.name for record in frame.passes] == plan.passes
         (why,) = [each.reason for each in plan.reasons if each.name == f"sun/relief: {name}"]
-        bends = "the view is too wide, the sun's rays bend across it: shadow_map can serve it"
+        bends = "the view is so wide that the sun's rays bend across it; shadow_map can draw it"
         assert why == (f"the {asked} sets sweep, but {bends}" if name == "shadow_map" else f"set by the {asked}")
         rejected = {each.name: each.reason for each in plan.rejected}
         assert rejected.get("sweep") == (bends if name == "shadow_map" else None)
@@ -200,7 +201,7 @@ def test_a_sweep_falls_back_to_maps_where_rays_bend_and_says_so(gl, write_raster
 
 def test_what_a_sweep_refuses_is_an_error_however_wide_the_view_is(level_file):
     wide = build_scene(load_level(level_file("earth")))
-    with pytest.raises(UnsupportedError, match="meshes are no heightfield"):
+    with pytest.raises(UnsupportedError, match="meshes are not a heightfield"):
         plan_of(wide, wide.view("map", size=(12, 12)), algorithm="sweep")
 
 
@@ -283,7 +284,7 @@ def test_volumes_for_what_they_serve_beside_maps_for_trees(gl, scene_on):
             plan_of(scene, view, algorithm=name)
         said = str(caught.value)
         assert f"'{name} for forest under sun'" in said and "every picture of leaves would cast a full rectangle" in said
-        assert said.endswith("; algorithms that can: shadow_map, perspective_shadow_map")
+        assert said.endswith("; algorithms that can: shadow_map, perspective_shadow_map.")
     choice = {"relief": "shadow_volume", "meshes": "shadow_volume", "forest": "shadow_map", "spot": "none", "omni": "none"}
     frame = render_frame(scene, view, plan_of(scene, view, algorithm=choice))
     assert [step.algorithm for step in frame.plan.steps[:2]] == ["shadow_volume", "shadow_map"]
@@ -301,7 +302,7 @@ def test_a_map_of_a_small_scale_bends_too_much_for_volumes(gl, tmp_path):
     (tmp_path / "rough.yaml").write_text(rough, encoding="utf-8")
     rough_scene = build_scene(load_level(tmp_path / "rough.yaml"))
     for name in ("shadow_volume", "hybrid"):
-        with pytest.raises(UnsupportedError, match="no affine camera fits.*; algorithms that can: shadow_map, sweep$"):
+        with pytest.raises(UnsupportedError, match=r"no affine camera fits.*; algorithms that can: shadow_map, sweep\.$"):
             plan_of(rough_scene, block_at(-84.25, 36.32, 8), algorithm=name)
         assert plan_of(scene, block_at(-84.25, 36.32, 8), algorithm=name).headline == name  # its pixels' pieces do not bend
         block = block_at(-84.25, 36.32, 12)
@@ -314,7 +315,7 @@ def test_a_map_of_a_small_scale_bends_too_much_for_volumes(gl, tmp_path):
 
 
 REFUSED = [
-    ("planar", "uneven", "the ground is not flat"), ("sweep", "level", "trees are no heightfield"),
+    ("planar", "uneven", "the ground is not flat"), ("sweep", "level", "trees are not a heightfield"),
     ("shadow_volume", "level", "knows no texture"), ("hybrid", "uneven", "knows no texture"),
     ("perspective_shadow_map", "level", "a map view has no perspective"),
 ]  # fmt: skip

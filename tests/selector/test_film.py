@@ -75,7 +75,7 @@ def test_frames_of_a_moving_sun_are_stills(gl, hills):
     assert [frame.moment.time.isoformat() for frame in frames][::4] == ["2024-06-21T12:00:00-04:00", "2024-06-22T00:00:00-04:00"]
     assert len({frame.color.tobytes() for frame in frames}) == 5
     for frame in frames:
-        assert frame.handover is None and frame.color.shape == (SIZE[1], SIZE[0], 3) and frame.color.dtype == np.uint8
+        assert frame.transition is None and frame.color.shape == (SIZE[1], SIZE[0], 3) and frame.color.dtype == np.uint8
         assert (frame.color == still_of(hills, frame)).all()
 
 
@@ -134,15 +134,15 @@ def test_a_switch_is_spread_over_frames_told_and_recorded(gl, figure, caplog):
     request = FilmRequest(FilmSpan(PATIENCE + 40, 1e-3), "eye")  # of a camera at rest, and hardly any motion
     frames = list(frames_of(figure, request, Replanner(plans=Turn("shadow_map", "shadow_volume", 3))))
     (switched,) = (frame for frame in frames if frame.switch is not None)
-    switch, mixed = switched.switch, [frame for frame in frames if frame.handover is not None]
+    switch, mixed = switched.switch, [frame for frame in frames if frame.transition is not None]
     assert (switch.number, switch.before, switch.after) == (3 + PATIENCE - 1, "shadow_map 64 1", "shadow_volume")
     assert "5.0 ms" in switch.why and "10 ms" in switch.why and f"{PATIENCE} frames in a row" in switch.why
-    assert mixed[0] is switched and 4 <= len(mixed) < 40 and mixed[-1].handover.share == 1.0
+    assert mixed[0] is switched and 4 <= len(mixed) < 40 and mixed[-1].transition.share == 1.0
     (said,) = (record.getMessage() for record in caplog.records if "instead of" in record.getMessage())
     assert said == f"frame {switch.number + 1} (0.007 s): {switch.after} instead of {switch.before}: {switch.why}"
     there = render_frame(figure, frames[0].moment.view, frames[0].plan).there.sum()
     for one, other in zip(frames, frames[1:], strict=False):
-        if one.handover or other.handover:
+        if one.transition or other.transition:
             # The sun rests, the body turns by 0.03 degrees a frame: colours change, but hardly between light and shadow.
             flipped = (np.abs(one.color.astype(int) - other.color).max(axis=-1) > 40).sum()
             assert flipped <= 1.5 * max(MOST_CHANGED * there, 1.0)
@@ -159,7 +159,7 @@ def test_night_is_told(gl, hills, caplog):
     evening = datetime.fromisoformat("2024-06-21T20:00:00-04:00")
     frames = list(frames_of(hills, FilmRequest(FilmSpan(3, 3600.0, evening), "map", size=(32, 32))))
     (switched,) = (frame for frame in frames if frame.switch is not None)
-    assert switched.switch.after == "none" and switched.switch.why == "nothing casts shadows any more"
+    assert switched.switch.after == "none" and switched.switch.why == "nothing casts shadows now"
 
 
 def test_moments_of_a_resting_camera_share_one_view(hills):
@@ -194,7 +194,7 @@ WRONG = {
     "no bounds of a perspective": (FilmRequest(FilmSpan(2, 1.0), "eye", bounds=(0, 0, 1, 1)), "bounds:", "perspective view"),
     "under the ground": (
         FilmRequest(FilmSpan(5, 1.0), path=low(-3.3333333333333335)),
-        "path, frame 4 (3 s): eye: '-2.03 m above the ground'",
+        "path, frame 4 (3 s): eye: the camera goes under the ground, -2.03 m above it",
         "above",
     ),
     "a large picture": (FilmRequest(FilmSpan(5, 1.0), path=ROUND, size=(5000, 9)), "size: '5000x9'", "at most 4096"),

@@ -7,9 +7,9 @@ from math import atan, degrees, hypot
 
 import pytest
 
-from skugga.selector import kept_probes
-from skugga.selector.kept_probes import load_probes, probes_folder, save_probes
-from skugga.selector.map_probes import BETWEEN_BLOCKS_ERROR, BETWEEN_BLOCKS_TIME, MapClass, MapProbes, ProbedClass, map_class
+from skugga.selector import probe_store
+from skugga.selector.map_probes import BLOCK_ERROR_SD, BLOCK_TIME_SD, MapClass, MapProbes, ProbedClass, map_class
+from skugga.selector.probe_store import load_probes, probes_folder, save_probes
 from tests.api.workers.fake_probes import seen
 
 
@@ -39,19 +39,19 @@ def test_the_middle_of_a_class_is_in_it(sun):
 
 
 def test_what_was_seen_is_less_certain_elsewhere():
-    probes = of(3, -1, "sweep").with_(of(4, -1, "shadow_map 512"))
+    probes = of(3, -1, "sweep").merged_with(of(4, -1, "shadow_map 512"))
     found = probes.of(MapClass(4, -1))
     assert found is not None and [each.choice for each in found["sun"]] == ["shadow_map 512"]
-    each, at_place = found["sun"][0], seen()
-    assert (each.error, each.ms) == (at_place.error, at_place.ms)
-    assert each.error_noise == hypot(at_place.error_noise, BETWEEN_BLOCKS_ERROR) > each.ms_noise
-    assert each.ms_noise == hypot(at_place.ms_noise, BETWEEN_BLOCKS_TIME) > at_place.ms_noise
+    each, is_positional = found["sun"][0], seen()
+    assert (each.error, each.ms) == (is_positional.error, is_positional.ms)
+    assert each.error_noise == hypot(is_positional.error_noise, BLOCK_ERROR_SD) > each.ms_noise
+    assert each.ms_noise == hypot(is_positional.ms_noise, BLOCK_TIME_SD) > is_positional.ms_noise
     assert probes.of(MapClass(5, -1)) is None and probes.of(MapClass(3, 0)) is None and probes.of(None) is None
 
 
 def test_later_probes_of_a_class_take_the_place_of_earlier_ones():
-    both = of(4, 0, "b").with_(of(3, 0, "a")).with_(of(4, 0, "c"))
-    assert both == of(3, 0, "a").with_(of(4, 0, "c")) and both != of(3, 0, "a").with_(of(4, 0, "b"))
+    both = of(4, 0, "b").merged_with(of(3, 0, "a")).merged_with(of(4, 0, "c"))
+    assert both == of(3, 0, "a").merged_with(of(4, 0, "c")) and both != of(3, 0, "a").merged_with(of(4, 0, "b"))
     assert [each.scale for each in both.classes] == [3, 4]
 
 
@@ -60,7 +60,7 @@ def test_kept_and_read(tmp_path, monkeypatch):
     path = save_probes("device", "1", "level", of(3, 0, "a"))
     assert path.parent == probes_folder("device", "1") != probes_folder("device", "2")
     assert save_probes("device", "1", "level", of(4, 0, "b")) == path
-    assert load_probes(path) == of(3, 0, "a").with_(of(4, 0, "b"))
+    assert load_probes(path) == of(3, 0, "a").merged_with(of(4, 0, "b"))
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"classes": [{"scale": 1}]}', '{"other": 1}', "\xff"])
@@ -73,7 +73,7 @@ def test_a_broken_file_counts_as_none(tmp_path, text):
 
 def test_the_oldest_are_forgotten(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(kept_probes, "MOST_KEPT", 2)
+    monkeypatch.setattr(probe_store, "MOST_KEPT", 2)
     for number in range(4):
         os.utime(save_probes("device", "1", f"level{number}", of(number, 0, "a")), (number, number))
     assert sorted(path.stem for path in probes_folder("device", "1").iterdir()) == ["level2", "level3"]

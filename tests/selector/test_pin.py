@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from skugga.selector.choices import Choice, StandaloneRequest
-from skugga.selector.pin import PIN_COMMENT, pin, pinned, pinned_text, pins
+from skugga.selector.pin import PIN_COMMENT, pin, pinned_keys, pinned_text, pins
 from skugga.selector.planner.planner import make_plan
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import InputError, LevelError
@@ -281,7 +281,7 @@ def test_permissions_and_links_are_kept(tmp_path):
     pin(link, CHOSEN, WHY)
     assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
     assert path.read_bytes().startswith(HEAD.replace("\n", "\r\n").encode())
-    assert pinned(link) == ("algorithm", "map_size")
+    assert pinned_keys(link) == ("algorithm", "map_size")
 
 
 def test_words_that_would_break_a_comment_do_not():

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 from skugga.selector import predict
-from skugga.selector.belief import SharedVariance
 from skugga.selector.choices import StandaloneRequest
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel, HillCurve, SharedErrors, error_groups
 from skugga.selector.formatting import format_duration, format_percent
+from skugga.selector.gaussian_estimate import SharedVariance
 from skugga.selector.options import PredictedChoice, predicted_choices
 from skugga.selector.planner.planner import Planner, make_plan, planner_of
 from skugga.selector.predict import predicted_plan
@@ -228,7 +228,7 @@ def test_where_nothing_can_be_predicted_the_rules_decide_and_the_plan_says_why()
     assert plan.policy == "rules" and plan.predicted is None and plan.target.met is None
     assert plan.algorithm == make_plan(described(), asked(described())).algorithm
     why = next(one.reason for one in plan.reasons if one.name == "policy rules")
-    assert why.startswith("nothing can be predicted, so the rules decide: ") and "shadow_map: this device has no rates" in why
+    assert why.startswith("no prediction is possible, so fixed rules choose: ") and "shadow_map: this device has no rates" in why
 
 
 def test_where_the_rules_decide_they_are_asked_about_planned_lights_alone(monkeypatch):
@@ -332,7 +332,7 @@ def test_what_is_predicted_of_a_plan_is_what_is_expected_of_the_option_that_is_t
         assert (plan.predicted.ms, plan.predicted.wrong, plan.predicted.wrong_cast) == pytest.approx(expected), name
         why = next(one.reason for one in plan.reasons if one.name.startswith(f"{light}/") and "none" not in one.name)
         assert (
-            f"{format_percent(taken.errors.wrong_cast)} of the cast shadow wrong in {format_duration(taken.ms)} expected" in why
+            f"expected: {format_percent(taken.errors.wrong_cast)} of the cast shadow wrong in {format_duration(taken.ms)}" in why
         ), name
 
 
@@ -355,7 +355,7 @@ def test_why_others_are_left_out_is_what_was_expected_of_them():
     plan = planned(described(), max_error=0.01)
     said = {one.name: one.reason for one in plan.rejected}
     assert said["planar"].startswith("expected at best: an error of 25 %, 24 % more than 1.0 %")
-    assert "ms with shadow_volume" in said["shadow_volume"] and "ms with the choice" in said["shadow_volume"]
+    assert "ms with shadow_volume" in said["shadow_volume"] and "the choice takes " in said["shadow_volume"]
     assert "shadow_map" not in said and said["truth"]
 
 

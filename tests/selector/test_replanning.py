@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 
 from skugga.selector.planner.planner import make_plan
 from skugga.selector.replanning import (
-    LONGEST,
+    MAX_TRANSITION_FRAMES,
     MOST_CHANGED,
     PATIENCE,
     SWITCH_TIME_GAIN,
     PlanFunction,
     Replanner,
     casting,
-    choices_of,
+    choices_from_plan,
+    expected_transition_frames,
     is_better,
-    mixed_pictures,
-    transition_frames,
+    mix_pictures,
 )  # fmt: skip
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
@@ -86,7 +86,7 @@ def test_what_is_a_little_quicker_is_not_taken(descriptor, level):
     names = algorithms([director.plan(descriptor, level)])
     table.rows["shadow_volume"] = (10.0 * (1.0 - SWITCH_TIME_GAIN) + 0.1, 0.01)
     names += algorithms([director.plan(descriptor, level) for _ in range(3 * PATIENCE)])
-    assert set(names) == {"shadow_map"} and director.handover is None
+    assert set(names) == {"shadow_map"} and director.transition is None
 
 
 def test_what_is_quicker_by_a_margin_is_taken_after_some_plans_in_a_row(descriptor, level):
@@ -138,7 +138,7 @@ def test_what_is_asked_for_is_taken_at_once(descriptor, level):
     first = director.plan(descriptor, level)
     other = "shadow_volume" if algorithms([first]) != ["shadow_volume"] else "hybrid"
     asked = director.plan(descriptor, level, {"algorithm": {"sun": {"meshes": other}}})
-    assert algorithms([asked]) == [other] and director.handover is None
+    assert algorithms([asked]) == [other] and director.transition is None
     assert director.plan(descriptor, level).algorithm == first.algorithm
 
 
@@ -149,7 +149,7 @@ def test_night_falls_at_once_and_once(scene, level):
     for altitude in altitudes:
         its = scene.with_sun(SunSpec(azimuth=200, altitude=float(altitude)))
         names += algorithms([director.plan(describe(its, view, "eye"), level)])
-        assert director.handover is None
+        assert director.transition is None
     assert switches(names) == 2
     assert [name == "none" for name in names] == [altitude <= 0.0 for altitude in altitudes]
 
@@ -158,12 +158,12 @@ def test_resolved_settings_are_those_of_the_present_view(scene, descriptor, leve
     """The map is kept, its texels are those that a plan of the view alone has with such a map."""
     director = Replanner(plans=Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01)))
     first = director.plan(descriptor, level)
-    choices = choices_of(first)
+    choices = choices_from_plan(first)
     assert first.settings == make_plan(descriptor, level, choices=choices).settings
     near = replace(scene.view("eye"), eye_earth_m=scene.view("eye").eye_earth_m + np.array([14.0, 22.0, -8.0]))
     closer = describe(scene, near, "eye")
     kept, alone = director.plan(closer, level), make_plan(closer, level, choices=choices)
-    assert choices_of(kept) == choices
+    assert choices_from_plan(kept) == choices
     assert (kept.settings, kept.passes, kept.runs) == (alone.settings, alone.passes, alone.runs)
     assert kept.settings != first.settings
 
@@ -171,7 +171,7 @@ def test_resolved_settings_are_those_of_the_present_view(scene, descriptor, leve
 def test_picks_are_what_a_plan_chose(descriptor, level):
     for name in ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "none"):
         plan = make_plan(descriptor, level, {"algorithm": {"sun": {"meshes": name}}, "map_size": 256, "cascades": 2})
-        again = make_plan(descriptor, level, choices=choices_of(plan))
+        again = make_plan(descriptor, level, choices=choices_from_plan(plan))
         if name != "none":  # which nothing picks
             assert (again.algorithm, again.settings) == (plan.algorithm, plan.settings)
         assert casting(plan) == {"sun": frozenset() if name == "none" else {"meshes"}}
@@ -186,20 +186,20 @@ def test_a_switch_changes_few_pixels_a_frame(gl, scene, descriptor, level):
     before = render_frame(scene, view, director.plan(descriptor, level)).visibility
     table.rows["shadow_volume"] = (5.0, 0.0)
     shown, seen, mixed = before, [], 0
-    for _ in range(PATIENCE + LONGEST):
+    for _ in range(PATIENCE + MAX_TRANSITION_FRAMES):
         frame = render_frame(scene, view, director.plan(descriptor, level)).visibility
-        if director.handover is not None:
-            left = render_frame(scene, view, director.handover.plan).visibility
-            frame, mixed = mixed_pictures(left, frame, director.handover.share), mixed + 1
+        if director.transition is not None:
+            left = render_frame(scene, view, director.transition.plan).visibility
+            frame, mixed = mix_pictures(left, frame, director.transition.share), mixed + 1
         seen.append(changed(shown, frame))
         shown = frame
     whole = changed(before, shown)
     assert whole > MOST_CHANGED  # else nothing would be tested
-    assert mixed + 1 == transition_frames(
+    assert mixed + 1 == expected_transition_frames(
         *(table(descriptor, level, {"algorithm": {"sun": {"meshes": name}}}) for name in table.rows)
     )
     assert max(seen) < 1.5 * whole / (mixed + 1)
-    assert seen[-1] == 0.0 and director.handover is None
+    assert seen[-1] == 0.0 and director.transition is None
 
 
 def changed(before: np.ndarray, after: np.ndarray) -> float:
@@ -212,11 +212,11 @@ def changed(before: np.ndarray, after: np.ndarray) -> float:
 def test_a_mixture_is_spread_evenly_and_only_grows(rows, cols, share, more):
     before, after = np.zeros((rows, cols)), np.ones((rows, cols))
     less, most = sorted((share, more))
-    mixed, later = mixed_pictures(before, after, less), mixed_pictures(before, after, most)
+    mixed, later = mix_pictures(before, after, less), mix_pictures(before, after, most)
     assert (later >= mixed).all()
-    assert mixed_pictures(before, after, 1.0).all() and not mixed_pictures(before, after, 0.0).any()
+    assert mix_pictures(before, after, 1.0).all() and not mix_pictures(before, after, 0.0).any()
     assert abs(mixed.mean() - less) < 0.05 + 2.0 / np.sqrt(rows * cols)
-    colours = mixed_pictures(np.zeros((rows, cols, 3)), np.ones((rows, cols, 3)), less)
+    colours = mix_pictures(np.zeros((rows, cols, 3)), np.ones((rows, cols, 3)), less)
     assert (colours == mixed[..., None]).all()
 
 
@@ -225,6 +225,6 @@ def test_a_switch_takes_the_frames_that_its_errors_need(descriptor, level):
         make_plan(descriptor, level).model_copy(update={"predicted": Predicted(ms=1.0, wrong=w, wrong_cast=w)})
         for w in (0.0, 0.003, 1.0)
     ]
-    assert transition_frames(plans[0], plans[0]) == 1
-    assert transition_frames(plans[0], plans[1]) == 2 and transition_frames(plans[1], plans[1]) == 3
-    assert transition_frames(plans[1], plans[2]) == LONGEST
+    assert expected_transition_frames(plans[0], plans[0]) == 1
+    assert expected_transition_frames(plans[0], plans[1]) == 2 and expected_transition_frames(plans[1], plans[1]) == 3
+    assert expected_transition_frames(plans[1], plans[2]) == MAX_TRANSITION_FRAMES

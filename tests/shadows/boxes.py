@@ -12,9 +12,9 @@ from skugga.shadows.attached import attached
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.passes import PassLog
 from skugga.shadows.visibility import receivers_of
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import load_level
@@ -54,13 +54,13 @@ def visibility(
     scene: Scene, view: View, light: str = "sun", bias_scale: float = 1.0, **overrides
 ) -> tuple[np.ndarray, GeometryBuffer]:
     """Visibility of a light by shadow maps, attached shadow included, NaN where there is no surface; and what it is of."""
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     seen = np.ones(buffer.there.shape, np.float32)
     for step in plan_of(scene, view, algorithm="shadow_map", **overrides).steps:
         if step.light == light and step.settings is not None:
             settings = step.settings.model_copy(update={"bias_scale": bias_scale})
             receivers = receivers_of(buffer, scene, light)
-            seen *= shadow_map.fill(receivers, scene, light, step.kinds, casters_of(scene, buffer), settings, PassLog())
+            seen *= shadow_map.fill(receivers, scene, light, step.kinds, find_casters(scene, buffer), settings, PassLog())
     seen[attached(buffer, scene, light)] = 0.0
     seen[~buffer.there] = np.nan
     return seen, buffer

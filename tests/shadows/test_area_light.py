@@ -16,10 +16,10 @@ from skugga.shadows.penumbra import MAX_POINTS
 from skugga.shadows.render import render_frame
 from skugga.shadows.truth.metrics import soft_error
 from skugga.shadows.truth.truth import ALL_KINDS, area_visibility, ray_scene
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of
@@ -41,7 +41,7 @@ def figure(folder: Path, **keys) -> Scene:
 
 def soft(buffer: GeometryBuffer, scene: Scene, light: str) -> np.ndarray:
     """True visibility (rows, cols) of a light as an area, dark where its middle cannot reach; NaN off the surface."""
-    rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
+    rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
     seen = area_visibility(buffer, scene, light, rays, 256)
     seen[attached(buffer, scene, light)] = 0.0
     return np.where(buffer.there, seen, np.nan)
@@ -83,7 +83,7 @@ def test_truth_of_a_ball_is_that_of_a_disc_beyond_an_edge(tmp_path, kind):
     lamp |= {"target": [aside, 0, 0], "cutoff": 60} if kind == "spot" else {}
     scene = level_of(tmp_path, [box((20, 80, 0.002), height / 2, (-10, 0))], 180, 45, sun="none", lights={"lamp": lamp})
     view = scene.view(bounds=(aside - 2, -0.1, aside + 2, 0.1), size=(100, 5))
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     x = buffer.position_frame_m[2, :, 0]
     beyond_m = (aside - x) * height / 2 / np.hypot(x, height / 2)  # from the plane to the middle of the ball
     theory = share_beyond(beyond_m / radius)
@@ -98,7 +98,7 @@ def test_truth_of_a_ball_is_that_of_a_disc_beyond_an_edge(tmp_path, kind):
 def test_the_sun_is_a_disc(gl, algorithm):
     scene = build_scene(load_level(find_level("thesis_boxgrid_sun")))
     view = scene.view("close", size=(120, 96))
-    real = soft(geometry_of(scene, view), scene, "sun")
+    real = soft(geometry_buffer(scene, view), scene, "sun")
     assert ((real > 0.02) & (real < 0.98)).mean() > 0.02
     hard, disc = (
         soft_error(seen(scene, view, "sun", algorithm=algorithm, filter=filter, map_size=2048), real) for filter in (1, "sun")
@@ -114,7 +114,7 @@ def test_a_lamp_is_a_ball(gl, tmp_path, algorithm, light):
     """As it is by itself; with a tap asked for, it is a point."""
     scene = figure(tmp_path, lights={light: LAMPS[light]}, sun="none")
     view = scene.view("eye")
-    real = soft(geometry_of(scene, view), scene, light)
+    real = soft(geometry_buffer(scene, view), scene, light)
     assert ((real > 0.02) & (real < 0.98)).mean() > 0.02
     hard, ball = (
         soft_error(seen(scene, view, light, algorithm=algorithm, map_size=1024, **asked), real) for asked in ({"filter": 1}, {})
@@ -125,7 +125,7 @@ def test_a_lamp_is_a_ball(gl, tmp_path, algorithm, light):
 def test_a_map_view_has_the_same_penumbrae(gl, tmp_path):
     scene = figure(tmp_path, lights={"spot": LAMPS["spot"]})
     view = scene.view(bounds=(-14, -14, 14, 14), size=(90, 90))
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     plan = plan_of(scene, view, algorithm={"sun": "shadow_volume", "spot": "shadow_map"}, filter="sun", map_size=1024)
     found = render_frame(scene, view, plan).visibilities
     for light in ("sun", "spot"):
@@ -137,7 +137,7 @@ def test_truth_is_of_the_area_too(gl, tmp_path):
     view = scene.view("eye")
     frame = render_frame(scene, view, plan_of(scene, view, algorithm="truth", filter="sun"))
     for light in ("sun", "omni"):
-        real = soft(geometry_of(scene, view), scene, light)
+        real = soft(geometry_buffer(scene, view), scene, light)
         partly = np.nanmean((real > 0.0) & (real < 1.0))
         assert soft_error(frame.visibilities[light], real) < partly / 32  # 64 rays, each an equal part
 

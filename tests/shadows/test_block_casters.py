@@ -42,7 +42,7 @@ SUNS = (4.0, 50.0, 12.0, 65.0, 25.0, 38.0)
 def everything_on(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """No block goes without anything that its plan lists."""
     with monkeypatch.context() as patch:
-        patch.setattr("skugga.shadows.block_casters.idle_patches", lambda *of: frozenset())
+        patch.setattr("skugga.shadows.block_casters.culled_patches", lambda *of: frozenset())
         patch.setattr("skugga.shadows.block_casters.own_ground_is_clear", lambda *of: False)
         clear_caches("light")
         yield
@@ -118,8 +118,8 @@ def test_the_record_says_what_a_block_went_without(gl, monkeypatch):
     frame = render_frame(scene, view, plan)
     records = {record.name: record for record in frame.passes}
     assert list(records) == plan.passes and "cast_shadows" in plan.runs
-    assert records["outside_casters"].note == NOTHING_OUTSIDE and records["outside_casters"].did_nothing
-    assert records["sun/relief: sweep"].note == NOTHING_CASTS and records["sun/relief: sweep"].did_nothing
+    assert records["outside_casters"].note == NOTHING_OUTSIDE and records["outside_casters"].is_left_out
+    assert records["sun/relief: sweep"].note == NOTHING_CASTS and records["sun/relief: sweep"].is_left_out
     assert frame.effects == plan.runs - {"cast_shadows", "outside_casters"}
     assert executed_effects(drawn_fast(scene, view, plan).passes) == frame.effects
     with everything_on(monkeypatch):

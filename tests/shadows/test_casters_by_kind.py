@@ -12,11 +12,11 @@ import shapely
 
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
-from skugga.shadows.truth.truth import truth_of
-from skugga.terrain.casters.reach import casters_of
+from skugga.shadows.truth.truth import trace_truth
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.ground.generated_ground import ENGINEERING
 from skugga.terrain.level.level import SUN, SunSpec, load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -37,12 +37,12 @@ def view_of(scene: Scene):
 
 @pytest.fixture(scope="module")
 def buffer(village) -> GeometryBuffer:
-    return geometry_of(village, view_of(village))
+    return geometry_buffer(village, view_of(village))
 
 
 @lru_cache(maxsize=8)
 def truth(scene: Scene, buffer: GeometryBuffer, kinds: tuple[str, ...]):
-    return truth_of(buffer, scene, casters_of(scene, buffer), kinds=kinds)
+    return trace_truth(buffer, scene, find_casters(scene, buffer), kinds=kinds)
 
 
 def alone(name: str, kind: str) -> dict[str, str]:

@@ -11,7 +11,7 @@ from skugga.shadows import ground_pictures
 from skugga.shadows.draw import SHADED, draw, heights_suffice
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.slopes import extent_on_grid
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
@@ -147,7 +147,7 @@ def test_ground_between_nodes_is_made_once_for_all_suns(gl, hills, monkeypatch):
     scene = hills(225.0, 22.0)
     view = scene.view(size=(90, 90))
     made: list[MapView] = []
-    monkeypatch.setattr(ground_pictures, "geometry_of", lambda *of: made.append(of[1]) or geometry_of(*of))
+    monkeypatch.setattr(ground_pictures, "geometry_buffer", lambda *of: made.append(of[1]) or geometry_buffer(*of))
     for azimuth in (200.0, 220.0, 240.0):
         lit = scene.with_sun(SunSpec(azimuth=azimuth, altitude=20.0))
         draw(lit, view, plan_of(lit, view), COLOR)

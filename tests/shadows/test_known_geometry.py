@@ -10,8 +10,8 @@ import pytest
 from pyproj import CRS
 from scipy.spatial import ConvexHull
 
-from skugga.terrain.casters.reach import longest_shadow_m, reach_of
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.casters.reach import find_reach, longest_shadow_m
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from skugga.terrain.scene import Scene
@@ -122,6 +122,6 @@ def test_a_view_in_which_nothing_casts_says_how_far_ground_would_count(gl, write
     frame = render_points(scene, view)
     assert not frame.plan.casts
     assert frame.reach.clipped and frame.reach.used_m < frame.reach.needed_m
-    whole = reach_of(scene, geometry_of(scene, view))
+    whole = find_reach(scene, geometry_buffer(scene, view))
     assert frame.reach.needed_m == pytest.approx(whole.needed_m, rel=0.02)
     assert frame.reach.used_m == pytest.approx(whole.used_m, rel=0.02, abs=30.0)

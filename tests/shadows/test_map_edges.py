@@ -14,8 +14,8 @@ from skugga.shadows import map_edges
 from skugga.shadows.map_edges import edge_pixels
 from skugga.shadows.maps import lookup
 from skugga.shadows.render import Frame, render_frame
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
@@ -50,7 +50,7 @@ def view_of(scene: Scene, pixels: int = SIDE_M) -> MapView:
 
 
 def with_points(scene: Scene, view: MapView, **overrides) -> Frame:
-    return render_frame(scene, view, plan_of(scene, view, **overrides), pixels_show="points")
+    return render_frame(scene, view, plan_of(scene, view, **overrides), pixel_sampling="points")
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_masks_and_values_keep_to_the_pixels_own_points(gl, ridge, algorithm):
     changed = (shown.color != points.color).any(axis=-1)
     on_plain = between & (shown.height_m < 0.01)
     assert on_plain.sum() > 40 and changed[on_plain].mean() > 0.95
-    sampled = between if algorithm == "sweep" else edge_pixels(geometry_of(ridge, view), [points.visibility])
+    sampled = between if algorithm == "sweep" else edge_pixels(geometry_buffer(ridge, view), [points.visibility])
     assert not (changed & ~sampled).any()
 
 
@@ -105,7 +105,7 @@ def test_an_outline_against_the_ground_is_between_its_colours(gl, tower):
     """The roof stays white inside, and on its rim the picture is a mean of what the pixel covers, its ground among it."""
     view = view_of(tower)
     shown, points = render(tower, view, algorithm="shadow_map"), with_points(tower, view, algorithm="shadow_map")
-    fine = geometry_of(tower, view.finer(16)).kind == MESHES
+    fine = geometry_buffer(tower, view.finer(16)).kind == MESHES
     share = means(fine.astype(float), 16)
     rim, roof = (share > 0.2) & (share < 0.8), share == 1.0
     assert rim.sum() > 30 and roof.sum() > 150
@@ -118,7 +118,7 @@ def test_an_outline_against_the_ground_is_between_its_colours(gl, tower):
 
 def test_edges_are_where_classes_or_things_change(ridge):
     """By hand: beside a pixel whose class or thing differs, across corners too, and along the sides of a block."""
-    buffer = geometry_of(ridge, view_of(ridge, 12))
+    buffer = geometry_buffer(ridge, view_of(ridge, 12))
     lit = np.ones((12, 12), np.float32)
     lit[5, 5] = 0.0
     expected = np.ones((12, 12), bool)

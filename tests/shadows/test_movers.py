@@ -15,11 +15,11 @@ import pytest
 import shapely
 import trimesh
 
-from skugga.shadows.point.horizon import sun_reaches, surroundings
+from skugga.shadows.point.horizon import load_surroundings, sees_sun
 from skugga.shadows.point.place import place_at
 from skugga.shadows.render import Frame
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN, load_level
@@ -100,7 +100,7 @@ def check_shadow(scene: Scene, frame: Frame, light: str, outline: shapely.Polygo
 
 def frame_points(scene: Scene, frame: Frame) -> np.ndarray:
     """East, north and height (rows, cols, 3) of a frame's pixels."""
-    buffer = geometry_of(scene, frame.view)
+    buffer = geometry_buffer(scene, frame.view)
     return buffer.frame.points_to_earth(buffer.position_frame_m)
 
 
@@ -144,8 +144,8 @@ def test_a_point_is_in_its_shadow_while_it_is_there(build):
     for seconds, east, north in ((0.0, 19.5, 20.0), (5.0, 39.0, 40.0), (10.0, 57.0, 60.0)):
         for second in (0.0, 5.0, 10.0):
             later = scene.at_second(second)
-            around = surroundings(later, place_at(later, (east, north)))
-            assert sun_reaches(around, np.array([90.0]), np.array([45.0])).tolist() == [second != seconds]
+            around = load_surroundings(later, place_at(later, (east, north)))
+            assert sees_sun(around, np.array([90.0]), np.array([45.0])).tolist() == [second != seconds]
 
 
 def test_what_is_kept_of_one_second_is_not_shown_at_another(gl, build):

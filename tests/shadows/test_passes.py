@@ -20,14 +20,14 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.render import Frame, render_frame
 from skugga.terrain.cache import MIB, Cache, clear_caches
 from skugga.terrain.gl import device as gl_module
-from skugga.terrain.gl.programs import Linked, note_draw
+from skugga.terrain.gl.programs import LinkedProgram, record_draw
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 
-TREES, GROUND = Linked("trees", ("foliage",)), Linked("ground", ())
-LOOK_UP = Linked("look-up", ("position", "depth_map"))
+TREES, GROUND = LinkedProgram("trees", ("foliage",)), LinkedProgram("ground", ())
+LOOK_UP = LinkedProgram("look-up", ("position", "depth_map"))
 
 VIEWS: dict[str, Any] = {
     "eye": {"kind": "perspective", "eye": [-35, -55, 14], "target": [4, 0, 3], "fov": 45, "size": [96, 72]},
@@ -79,11 +79,11 @@ def record_of(frame: Frame, ending: str) -> PassRecord:
 def test_a_pass_has_the_draws_between_its_beginning_and_its_end():
     """Programs in the order of their first use, textures by the alphabet, neither twice."""
     log = PassLog()
-    note_draw(TREES)
+    record_draw(TREES)
     with log.run("map") as record:
         for program in (LOOK_UP, GROUND, LOOK_UP, GROUND, TREES):
-            note_draw(program)
-    note_draw(TREES)
+            record_draw(program)
+    record_draw(TREES)
     assert record is log.records["map"] and record.draws == 5
     assert record.programs == ("look-up", "ground", "trees")
     assert record.textures == ("depth_map", "foliage", "position")
@@ -94,7 +94,7 @@ def test_a_pass_that_is_entered_again_adds_up():
     for programs in ((GROUND,), (), (TREES, GROUND), (LOOK_UP, TREES)):
         with log.run("map"):
             for program in programs:
-                note_draw(program)
+                record_draw(program)
     with log.run("rays"):
         pass
     map_record, rays = log.records.values()
@@ -106,26 +106,26 @@ def test_a_pass_that_is_entered_again_adds_up():
 def test_a_pass_within_another_counts_in_both():
     log = PassLog()
     with log.run("outer"):
-        note_draw(GROUND)
+        record_draw(GROUND)
         with log.run("inner"):
-            note_draw(TREES)
-        note_draw(GROUND)
+            record_draw(TREES)
+        record_draw(GROUND)
     assert [(record.draws, record.programs) for record in log.records.values()] == [(3, ("ground", "trees")), (1, ("trees",))]
 
 
 def test_a_pass_that_fails_leaves_its_draws_on_record_and_no_more():
     log = PassLog()
     with pytest.raises(ZeroDivisionError), log.run("map"):
-        note_draw(GROUND)
+        record_draw(GROUND)
         _ = 1 / 0
-    note_draw(GROUND)
+    record_draw(GROUND)
     assert log.records["map"].draws == 1 and log.records["map"].ms > 0.0
 
 
 def test_what_another_thread_draws_is_not_this_ones():
     log = PassLog()
     with log.run("rays"):
-        thread = threading.Thread(target=note_draw, args=(GROUND,))
+        thread = threading.Thread(target=record_draw, args=(GROUND,))
         thread.start()
         thread.join()
     assert log.records["rays"].draws == 0

@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 from skugga.shadows import planar
 from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
-from skugga.shadows.planar import clip_from_plane, onto_plane
+from skugga.shadows.planar import clip_from_plane, plane_projection
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.truth import TruthSettings, truth_of
+from skugga.shadows.truth.truth import TruthSettings, trace_truth
 from skugga.shadows.truth.truth import fill as truth_fill
-from skugga.terrain.casters.reach import NO_CASTERS, casters_of
+from skugga.terrain.casters.reach import NO_CASTERS, find_casters
 from skugga.terrain.gbuffer.antialias import multisampled
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.ground.generated_ground import ENGINEERING
 from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -72,8 +72,8 @@ def view_of(scene: Scene, kind: str):
 
 def ground_errors(scene: Scene, view, visibility: np.ndarray, light: str) -> tuple[float, float]:
     """Share of decidable ground pixels that are wrong, and of those in shadow."""
-    buffer = geometry_of(scene, view)
-    real = truth_of(buffer, scene, casters_of(scene, buffer), light=light)
+    buffer = geometry_buffer(scene, view)
+    real = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
     ground = real.decidable & (buffer.kind == RELIEF)
     wrong = ground & ((visibility < 0.5) != ~real.lit)
     return wrong.sum() / ground.sum(), (ground & ~real.lit).sum() / ground.sum()
@@ -89,7 +89,7 @@ def ground_errors(scene: Scene, view, visibility: np.ndarray, light: str) -> tup
 def test_a_point_falls_where_its_ray_meets_the_plane(light, point):
     """On the line through point and light, at height 0."""
     light, point = np.array(light), np.array(point)
-    x, y, z, w = onto_plane(light) @ [*point, 1.0]
+    x, y, z, w = plane_projection(light) @ [*point, 1.0]
     assert z == pytest.approx(0.0, abs=1e-9) and w > 0.0
     fallen = np.array([x, y, z]) / w
     way = light[:3] - light[3] * point
@@ -101,7 +101,7 @@ def test_the_ground_s_points_lie_in_the_pixels_that_show_them(build, kind):
     """Clip coordinates of a buffer's own points are those of its pixels' centres; perspective views are cut off-centre too."""
     scene = build()
     view = view_of(scene, kind).part(20, 31, 150, 170)
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     row, col = np.nonzero(buffer.kind == RELIEF)
     origin = np.array([3.0, -7.0, 0.0])
     points = np.column_stack([buffer.position_frame_m[row, col] - origin, np.ones(len(row))])
@@ -162,7 +162,7 @@ def test_trees_and_boxes_cast_from_every_light(gl, build, kind, light):
     scene = build(meshes=[BOX], forest=[{"source": "trees.gpkg", "height": "height"}], **LIGHTS[light])
     view = view_of(scene, kind)
     frame = render(scene, view, algorithm="planar")
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     assert {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
     wrong, shadow = ground_errors(scene, view, frame.visibility, light)
     assert wrong <= 1e-3 and shadow > 0.02
@@ -179,7 +179,7 @@ def test_samples_of_a_pixel_are_drawn_where_they_lie(gl, build, light):
     assert len(buffer.there) > view.rows
     kinds = scene.objects.kinds
     found = planar.fill(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
-    real = truth_fill(buffer, scene, light, kinds, casters_of(scene, buffer), TruthSettings(), PassLog())
+    real = truth_fill(buffer, scene, light, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
     samples = (buffer.kind == RELIEF) & ~attached(buffer, scene, light)
     samples[: view.rows] = False
     dark = (real < 0.5)[samples].sum()
@@ -213,12 +213,12 @@ def test_nothing_falls_on_the_casters_themselves(gl, build):
     """One box in the other's shadow stays lit wherever it faces the sun; truth says otherwise."""
     scene = build(180.0, 20.0, meshes=[{"source": "box.obj", "at": [[0, 0], [0, 9]]}])
     view = view_of(scene, "perspective")
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     kinds = scene.objects.kinds
     found = planar.fill(buffer, scene, SUN, kinds, NO_CASTERS, None, PassLog())
     meshes = buffer.kind == MESHES
     assert (found[meshes] == 1.0).all()
-    real = truth_fill(buffer, scene, SUN, kinds, casters_of(scene, buffer), TruthSettings(), PassLog())
+    real = truth_fill(buffer, scene, SUN, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())
     assert (real < 0.5)[meshes & ~attached(buffer, scene)].mean() > 0.05
 
 
@@ -227,7 +227,7 @@ def test_what_lies_below_the_ground_throws_no_shadow(gl, build, light, monkeypat
     """A box sunk by 3 of its 5 m throws the shadow of one 2 m high; one that is wholly below throws none."""
     scene = build(meshes=[BOX], **LIGHTS[light])
     view = view_of(scene, "map")
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
 
     def shadow(low: float, high: float) -> np.ndarray:
         box = trimesh.creation.box(bounds=[[-4, -3, low], [4, 3, high]])
@@ -245,7 +245,7 @@ def test_what_stands_above_a_lamp_throws_no_shadow(gl, build, monkeypatch):
     """The part of a mast above the lamp counts for nothing; the part below throws a shadow without end."""
     scene = build(sun="none", lights={"omni": OMNI}, meshes=[BOX])
     view = view_of(scene, "perspective")
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
 
     def shadow(low: float, high: float) -> np.ndarray:
         mast = trimesh.creation.box(bounds=[[2, -1, low], [3, 0, high]])
@@ -267,7 +267,7 @@ def test_a_light_that_is_not_above_the_ground_reaches_none_of_it(gl, build, heig
     view = view_of(scene, "perspective")
     frame = render(scene, view, algorithm="planar")
     assert not np.nan_to_num(frame.visibilities[SUN]).any()
-    ground = geometry_of(scene, view).kind == RELIEF
+    ground = geometry_buffer(scene, view).kind == RELIEF
     assert frame.visibilities["lamp"][ground].any() == (height_m > 0.0)
 
 

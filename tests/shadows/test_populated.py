@@ -22,13 +22,13 @@ from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.metrics import LEAST_SIGHT, MOST_INTERIOR, block_shares, coverage_error, errors_of
-from skugga.shadows.truth.truth import TruthSettings, coverage_truth, fill, truth_of
-from skugga.terrain.casters.reach import casters_of
+from skugga.shadows.truth.metrics import LEAST_SIGHT, MOST_INTERIOR, block_shares, coverage_error, error_metrics
+from skugga.shadows.truth.truth import TruthSettings, coverage_truth, fill, trace_truth
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
@@ -95,8 +95,8 @@ def test_the_shade_of_a_wood_is_near_truth(gl, build, kind):
     scene = build(forest=[WOOD])
     view = view_of(scene, kind)
     frame = render_points(scene, view, map_size=4096)
-    buffer = geometry_of(scene, view)
-    casters = casters_of(scene, buffer)
+    buffer = geometry_buffer(scene, view)
+    casters = find_casters(scene, buffer)
     shares = coverage_truth(buffer, scene, casters, 16, blocks=48, samples=16)
     assert 0.1 < np.nanmean(shares) < 0.9 and (buffer.kind == FOREST).mean() > 0.1
     found = block_shares(1.0 - frame.visibility)
@@ -111,9 +111,9 @@ def test_shadows_of_buildings_are_right_inside(gl, build, kind, altitude):
     scene = build(300.0, altitude, meshes=[HOUSE, {"source": "plank.obj", "at": [[-15, 5], [-20, -18]], "turn": 70}])
     view = view_of(scene, kind)
     frame = render_points(scene, view, map_size=4096, filter=1)
-    buffer = geometry_of(scene, view)
-    real = truth_of(buffer, scene, casters_of(scene, buffer))
-    found = errors_of(frame.visibility, real, describe(scene, view).pixel_m, 0.5)
+    buffer = geometry_buffer(scene, view)
+    real = trace_truth(buffer, scene, find_casters(scene, buffer))
+    found = error_metrics(frame.visibility, real, describe(scene, view).pixel_m, 0.5)
     cast = ~real.lit & ~real.attached & real.there
     assert 0.02 < cast.sum() / real.there.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
     assert found.interior <= MOST_INTERIOR and found.interior_parts == 0 and found.wrong_cast < 0.03 and found.edge_p95 <= 2.0
@@ -127,8 +127,8 @@ def test_each_kind_casts_its_own_shadow(gl, build):
     """What is left out by name throws none; truths of single kinds multiply to that of all; the map agrees with each."""
     scene = build(300.0, 20.0, meshes=[HOUSE], forest=[TREES])
     view = view_of(scene, "perspective")
-    buffer = geometry_of(scene, view)
-    casters = casters_of(scene, buffer)
+    buffer = geometry_buffer(scene, view)
+    casters = find_casters(scene, buffer)
     all_kinds = scene.objects.kinds
     assert all_kinds == ("relief", "meshes", "forest")
     real = {kind: fill(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
@@ -202,8 +202,8 @@ def test_a_stand_in_casts_instead_of_what_is_seen(gl, build):
     scene = build(90.0, 45.0, "level", meshes=[{"source": "house.obj", "at": [0, 0], "caster": "low.obj"}])
     own = build(90.0, 45.0, "level", meshes=[{"source": "house.obj", "at": [0, 0]}])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(170, 170))
-    roof = geometry_of(scene, view).height_m
-    np.testing.assert_array_equal(roof, geometry_of(own, view).height_m)
+    roof = geometry_buffer(scene, view).height_m
+    np.testing.assert_array_equal(roof, geometry_buffer(own, view).height_m)
     assert roof.max() == pytest.approx(6.0)
     dark, x, y = floor_shadow(scene)
     assert not dark.any()  # 2 + 2 m west of the middle: below the house

@@ -9,8 +9,8 @@ import pytest
 
 from skugga.shadows.passes import PassLog
 from skugga.shadows.visibility import fill_steps, with_apparent_sun, without_hidden_points
-from skugga.terrain.casters.reach import casters_of
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.casters.reach import find_casters
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
@@ -34,9 +34,9 @@ def hazy(tmp_path_factory) -> Scene:
 def filled(scene: Scene, light: str, effects: set[str]) -> tuple[np.ndarray, np.ndarray]:
     """A light's visibility at the points of the view (n,), and whether haze hides each."""
     view = scene.view("eye")
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     steps = plan_of(scene, view, algorithm="shadow_volume").steps_under(light)
-    found = fill_steps(steps, buffer, scene, casters_of(scene, buffer), effects, PassLog())
+    found = fill_steps(steps, buffer, scene, find_casters(scene, buffer), effects, PassLog())
     hidden = buffer.there & ~without_hidden_points(buffer, scene, "sun", {"haze"}).there
     return found[buffer.there], hidden[buffer.there]
 
@@ -57,14 +57,14 @@ def test_a_lamp_is_looked_for_however_thick_the_air(gl, hazy):
 
 
 def test_a_map_is_seen_from_no_distance(hazy):
-    buffer = geometry_of(hazy, hazy.view(size=(32, 32)))
+    buffer = geometry_buffer(hazy, hazy.view(size=(32, 32)))
     assert without_hidden_points(buffer, hazy, "sun", {"haze"}) is buffer
 
 
 def test_kinds_that_are_filled_apart_multiply(gl, hazy):
     view = hazy.view("eye")
-    buffer = geometry_of(hazy, view)
-    casters = casters_of(hazy, buffer)
+    buffer = geometry_buffer(hazy, view)
+    casters = find_casters(hazy, buffer)
     asked = {"algorithm": {"sun": {"relief": "shadow_map", "meshes": "shadow_volume"}}}
     steps = plan_of(hazy, view, **asked).steps_under("sun")
     assert [step.algorithm for step in steps] == ["shadow_map", "shadow_volume"]

@@ -53,7 +53,7 @@ def test_bytes_are_counted_whatever_comes_and_goes(puts, limit):
 
 def test_what_is_let_go_is_released_and_the_newest_one_is_not():
     released: list[str] = []
-    cache: Cache[str] = Cache("test", "process", 5, len, released.append, most=2)
+    cache: Cache[str] = Cache("test", "process", 5, len, released.append, max_entries=2)
     for word in ("ab", "cd", "e", "longer than that"):
         cache.put(word, value=word)
     assert released == ["ab", "cd", "e"] and cache.values == ["longer than that"]

@@ -12,7 +12,7 @@ from skugga.shadows.draw import SHADED, heights_suffice
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.climate import ARID, ICE, LATITUDES, TUNDRA, climate_srgb, ramp_srgb, snow_line_m
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView, tile_grid
 from skugga.terrain.level.parts import StyleSpec
 from skugga.terrain.shading import albedo_of
@@ -113,7 +113,7 @@ def test_the_fast_path_has_the_same_climate(gl, hilly):
     apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
     assert apart.max() <= 1 and (apart > 0).mean() < 1e-3
     own_ramp = StyleSpec(name="natural", ramp=OWN)
-    without = drawn_by_heights(dataclasses.replace(hilly, styled=own_ramp), view, plan)
+    without = drawn_by_heights(dataclasses.replace(hilly, style_spec=own_ramp), view, plan)
     assert without is not None, "a level's own ramp is that of all latitudes"
     assert (np.abs(without.color.astype(int) - shown.color).max(axis=-1) > 4).mean() > 0.1, "else nothing was compared"
 
@@ -127,7 +127,7 @@ def test_a_place_has_one_colour_in_all_maps(write_raster, make_scene, latitude, 
     scene = make_scene(write_raster(heights, "EPSG:4326", 10.0, latitude + 0.5, 1.0 / 60.0), 180.0, 30.0)
     found = []
     for crs, size in (("EPSG:4326", (61, 61)), ("EPSG:4326", (33, 33)), (f"EPSG:{scene.map_crs.to_epsg()}", (61, 61))):
-        buffer = geometry_of(scene, scene.view(size=size, crs=crs))
+        buffer = geometry_buffer(scene, scene.view(size=size, crs=crs))
         earth = buffer.frame.points_to_earth(buffer.position_frame_m)
         sine = earth[..., 2] / np.linalg.norm(earth, axis=-1)
         albedo = albedo_of(buffer, scene)

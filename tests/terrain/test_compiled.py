@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skugga.terrain import compiled as compiled_module
-from skugga.terrain.compiled import in_shares, on_cores
+from skugga.terrain.compiled import map_on_cores, run_in_chunks
 
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
@@ -18,7 +18,7 @@ def test_each_row_is_in_one_share(monkeypatch, cores, rows):
     def meet(first: int, last: int, by: int) -> None:
         met[first:last] += by
 
-    in_shares(rows, meet, 3)
+    run_in_chunks(rows, meet, 3)
     assert (met == 3).all()
 
 
@@ -29,13 +29,13 @@ def test_what_a_share_raises_is_raised(monkeypatch):
         raise ValueError(f"row {first}")
 
     with pytest.raises(ValueError, match="row 0"):
-        in_shares(100, fail)
+        run_in_chunks(100, fail)
 
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
 def test_parts_on_cores_are_all_done_and_in_order(cores):
-    assert on_cores(lambda part: part * part, range(7), cores) == [0, 1, 4, 9, 16, 25, 36]
-    assert on_cores(lambda part: part, [], cores) == []
+    assert map_on_cores(lambda part: part * part, range(7), cores) == [0, 1, 4, 9, 16, 25, 36]
+    assert map_on_cores(lambda part: part, [], cores) == []
 
 
 @pytest.mark.parametrize("cores", [1, 3])
@@ -47,12 +47,12 @@ def test_parts_on_cores_may_share_rows_out_themselves(monkeypatch, cores):
         def meet(first: int, last: int) -> None:
             met[part, first:last] += 1
 
-        in_shares(40, meet)
+        run_in_chunks(40, meet)
 
-    on_cores(share_out, range(6), cores)
+    map_on_cores(share_out, range(6), cores)
     assert (met == 1).all()
 
 
 def test_what_a_part_raises_is_raised():
     with pytest.raises(ZeroDivisionError):
-        on_cores(lambda part: 1 // part, [1, 0], 2)
+        map_on_cores(lambda part: 1 // part, [1, 0], 2)

@@ -18,9 +18,9 @@ from pydantic import ValidationError
 from skugga.selector.choices import StandaloneRequest
 from skugga.selector.planner.planner import make_plan
 from skugga.terrain.describe import describe
-from skugga.terrain.facts.coarse_view import nearest_triangles
+from skugga.terrain.facts.coarse_view import rasterize_triangles
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import Shadows, load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
@@ -232,7 +232,7 @@ def test_the_nearest_triangle_shows_wherever_its_corners_lie():
     half = 8.0 / view.focal_px * 10.0  # eight pixels
     board = placed([[-half, -half, 10], [half, -half, 10], [half, half, 10], [-half, half, 10]])
     quads = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    number = nearest_triangles(view, frame, [(floor, quads), (board, quads)], np.zeros((1, 2)))[0][..., 0]
+    number = rasterize_triangles(view, frame, [(floor, quads), (board, quads)], np.zeros((1, 2)))[0][..., 0]
     assert set(np.unique(number[40:])) <= {1, 2} and (number[:24] == 0).all()
     assert np.isin(number[24:40, 24:40], (3, 4)).all()
     assert (number[24:32, :24] == 0).all() and (number[34:, :24] > 0).all()
@@ -263,12 +263,12 @@ def test_bands_reach_no_farther_than_the_view_and_hold_all_that_it_shows(tmp_pat
     for band in bands:
         sides_m = np.subtract(band.high_light_m, band.low_light_m)
         assert (sides_m <= 2.2 * band.far_m).all(), f"{sides_m} m of what is seen at {band.far_m} m"
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     rotation, translation = scene.light.from_frame(buffer.frame)
     points = buffer.position_frame_m[buffer.there]
-    away_m = np.linalg.norm(points - view.in_frame(buffer.frame)[0], axis=-1)
+    distance_m = np.linalg.norm(points - view.in_frame(buffer.frame)[0], axis=-1)
     for band in bands:
-        in_light = (points[(away_m > band.near_m) & (away_m <= band.far_m)] @ rotation.T + translation)[
+        in_light = (points[(distance_m > band.near_m) & (distance_m <= band.far_m)] @ rotation.T + translation)[
             :, 1:
         ]  # what rises, rises there
         assert len(in_light) and (in_light >= band.low_light_m[1:]).all() and (in_light <= band.high_light_m[1:]).all()

@@ -5,21 +5,21 @@ import pytest
 
 from skugga.terrain.compiled import compiled
 from skugga.terrain.interpolation import bilinear, smoothstep
-from skugga.terrain.interpolation_loops import blend_corners, cell_before, lerp_corners, smoothstep_of
+from skugga.terrain.interpolation_loops import blend_corners, cell_interval, lerp_corners, smoothstep_value
 
 
 @compiled
 def _smooth_all(shares, out):
     for n in range(shares.size):
-        out[n] = smoothstep_of(shares[n])
+        out[n] = smoothstep_value(shares[n])
 
 
 @compiled
 def _look_up_all(values, row, col, by_steps, out):
     rows, cols = values.shape
     for n in range(row.size):
-        r0, r1, down = cell_before(row[n], rows)
-        c0, c1, across = cell_before(col[n], cols)
+        r0, r1, down = cell_interval(row[n], rows)
+        c0, c1, across = cell_interval(col[n], cols)
         corners = values[r0, c0], values[r0, c1], values[r1, c0], values[r1, c1]
         if by_steps:
             out[n] = lerp_corners(corners[0], corners[1], corners[2], corners[3], down, across)

@@ -16,7 +16,7 @@ from skugga.shadows.attached import attached
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.lamps import apply_lamps
 from skugga.terrain.errors import InputError, LevelError
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.world import geocentric
 from skugga.terrain.level.level import SUN, parse_algorithm
 from skugga.terrain.lights import CONE_EDGE, axes_along
@@ -59,7 +59,7 @@ def square(scene: Scene, half: float = 40.0, px: int = 80):
 
 def shone(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Where some lights reach all that faces them, and the light (rows, cols, 3) of the lamps among them."""
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     shines = {name: np.where(attached(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
     lamplight = np.zeros((*buffer.there.shape, 3), np.float32)
     apply_lamps(lamplight, ShadingBlock(scene, view, buffer, shines))
@@ -68,7 +68,7 @@ def shone(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndar
 
 def light_of(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
     """Linear colour (rows, cols, 3) of a view where some lights reach all that faces them."""
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     shines, lamplight = shone(scene, view, names)
     return shade(buffer, scene, shines.get("sun", np.zeros(buffer.there.shape, np.float32)), lamplight=lamplight)
 
@@ -150,7 +150,7 @@ def test_what_is_lit_by_a_spot_is_its_cone(floor, make_scene):
     """Attached shadow ends at a circle of radius h tan(cutoff), exactly; a floor seen from below has none of its light."""
     scene = make_scene(floor, sun="none", lights=spot(15.0, 50.0))
     view, x, y = square(scene, px=200)
-    dark = attached(geometry_of(scene, view), scene, "lamp")
+    dark = attached(geometry_buffer(scene, view), scene, "lamp")
     np.testing.assert_array_equal(dark, np.hypot(x, y) > 15.0 * np.tan(np.radians(50.0)))
 
 
@@ -259,9 +259,9 @@ def test_a_lamp_that_moves_is_as_strong_all_the_way(floor, make_scene):
     view, x, y = square(scene)
     light, same, later = (shone(each, view, ("lamp",))[1][..., 0] for each in (scene, still, scene.at_second(8.0)))
     np.testing.assert_array_equal(light, same)
-    away_m = np.hypot(39.5 - 50, 40)
+    distance_m = np.hypot(39.5 - 50, 40)
     at = {east: (np.abs(x - east) < 0.6) & (np.abs(y) < 0.6) for east in (0.0, 39.5)}
-    assert later[at[39.5]].mean() == pytest.approx(light[at[0.0]].mean() * 10**2 / away_m**2 * 40 / away_m, rel=0.02)
+    assert later[at[39.5]].mean() == pytest.approx(light[at[0.0]].mean() * 10**2 / distance_m**2 * 40 / distance_m, rel=0.02)
 
 
 def test_a_searchlight_turns_to_what_it_lights(floor, make_scene):
@@ -291,7 +291,7 @@ def test_a_searchlight_turns_to_what_it_lights(floor, make_scene):
         ),
         (
             moving("spot", {"seconds": 0, "position": [-10, 0, 5]}, {"seconds": 4, "position": [10, 0, 5]}, target=[0, 0, 5]),
-            "lights.lamp.motion.path: the light is where its target is at second 2; allowed: positions 0.1 m from the target",
+            "lights.lamp.motion.path: the light meets its target at second 2. Keep the light at least 0.1 m from its target",
         ),
         (
             moving("spot", {"seconds": 0, "target": [-10, 0, 0]}, {"seconds": 4, "target": [600, 0, 0]}, position=[0, 0, 9]),

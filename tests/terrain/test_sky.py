@@ -14,12 +14,12 @@ from skugga.terrain.sky import (
     SKY_ZENITH,
     gradient_noise,
     horizon_colors,
-    passing,
+    horizontal_sun_direction,
     sky,
     sky_color,
     sky_colors,
     sky_of,
-    sunward,
+    transmittances,
 )
 from skugga.terrain.srgb import srgb_of_linear
 
@@ -135,8 +135,8 @@ def test_a_part_of_a_sky_is_the_same_sky_and_so_is_the_next_picture():
 
 
 def test_sunward_is_level_and_of_unit_length():
-    assert sunward(np.array([0.6, 0.0, 0.8]), UP) == pytest.approx([1.0, 0.0, 0.0])
-    assert sunward(UP, UP) == pytest.approx([0.0, 0.0, 0.0])
+    assert horizontal_sun_direction(np.array([0.6, 0.0, 0.8]), UP) == pytest.approx([1.0, 0.0, 0.0])
+    assert horizontal_sun_direction(UP, UP) == pytest.approx([0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("altitude_deg", [-4.0, 0.5, 12.0, 50.0])
@@ -154,5 +154,5 @@ def test_what_passes_through_air_falls_off_exponentially():
     length = np.concatenate([np.linspace(0.0, 60.0, 500), [1e-12, 1e4, -5.0]])
     out = np.empty(len(length))
     for per_length in (1e-9, 0.02, 1.0):
-        passing(per_length, length, out)
+        transmittances(per_length, length, out)
         np.testing.assert_allclose(out, np.exp(-per_length * np.maximum(length, 0.0)), rtol=0.0, atol=1e-12)

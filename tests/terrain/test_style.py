@@ -9,10 +9,10 @@ import pytest
 
 from skugga.shadows.render import render_frame
 from skugga.terrain.errors import InputError, LevelError
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import LEVEL_GROUND, SKY_SHARE, shade
-from skugga.terrain.shading_loops import LEAST_SKY, SHOULDER, _on_slope, _sky_on_slope, _towards_sun, luminance_of, shoulder
+from skugga.terrain.shading_loops import LEAST_SKY, SHOULDER, _direct_on_slope, _on_slope, _sky_on_slope, luminance_of, shoulder
 from skugga.terrain.srgb import linear_of_srgb
 from skugga.terrain.style import STYLES, TINT_LOW_M, TINT_STEP_M, tint_table
 from tests.render import plan_of
@@ -35,7 +35,7 @@ def plane(write_raster, make_scene, east_rise: float, azimuth: float, altitude: 
 
 def middle(scene: Scene, sunlight: float) -> np.ndarray:
     """Linear colour (3,) in the middle of a map, of which the sun lights a share."""
-    buffer = geometry_of(scene, scene.view(size=(60, 60)))
+    buffer = geometry_buffer(scene, scene.view(size=(60, 60)))
     return shade(buffer, scene, np.full(buffer.there.shape, sunlight, np.float32))[30, 30].astype(float)
 
 
@@ -161,10 +161,10 @@ def test_slopes_are_exaggerated_as_tangents():
 def test_attached_shadow_begins_softly_and_level_ground_stays_as_it_is():
     for sine in (0.05, 0.5, 1.0):
         facing = np.linspace(-0.2, 1.0, 1201)
-        given = np.array([_towards_sun(each, sine, 0.5) for each in facing])
+        given = np.array([_direct_on_slope(each, sine, 0.5) for each in facing])
         assert np.array_equal(given[facing >= 0.5 * sine], facing[facing >= 0.5 * sine]) and (np.diff(given) >= 0).all()
         assert (given[facing <= 0.0] == 0.0).all() and (given <= np.maximum(facing, 0.0)).all()
-        assert np.array_equal(np.array([_towards_sun(each, sine, 0.0) for each in facing]), np.maximum(facing, 0.0)), (
+        assert np.array_equal(np.array([_direct_on_slope(each, sine, 0.0) for each in facing]), np.maximum(facing, 0.0)), (
             "Lambert's law"
         )
 
@@ -241,8 +241,8 @@ def test_coarse_ground_is_no_city_unless_it_is_of_blocks(write_raster, make_scen
     ("style", "message"),
     [
         ("pretty", "style: .pretty. is not allowed. Allowed: .*swiss"),
-        ({"name": "swiss", "ramp": []}, "heights rising"),
-        ({"ramp": [[100, "#ffffff"], [0, "#000000"]]}, "heights rising"),
+        ({"name": "swiss", "ramp": []}, "with increasing heights"),
+        ({"ramp": [[100, "#ffffff"], [0, "#000000"]]}, "with increasing heights"),
         ({"ramp": [[0, "white"]]}, "as '#b3c2a2'"),
         ({"slope_exaggeration": 0}, "style.slope_exaggeration"),
         ({"colour": "swiss"}, "style.colour"),

@@ -125,5 +125,5 @@ def test_coarse_cells_are_looked_at_from_afar(tmp_path):
     spec = good_view(scene.world, scene.elevation, scene.sun)
     assert spec is not None
     (lon, lat, high_m), (to_lon, to_lat, _) = spec.eye, spec.target
-    away_m = float(np.hypot(WGS84.inv(lon, lat, to_lon, to_lat)[2], high_m))
-    assert 1024 / (2 * np.tan(np.radians(spec.fov) / 2)) * 1000.0 / away_m < 40.0
+    distance_m = float(np.hypot(WGS84.inv(lon, lat, to_lon, to_lat)[2], high_m))
+    assert 1024 / (2 * np.tan(np.radians(spec.fov) / 2)) * 1000.0 / distance_m < 40.0

@@ -1,4 +1,4 @@
-"""The commands of ``skugga``, a module each, which is imported when its command is used.
+"""The commands of ``skugga``, one module each, which is imported when its command is used.
 
-At its top a module imports what its options are made of, and in its function what the command works with.
+A module imports at its top only what its options need. Its function imports what the command needs.
 """

@@ -22,7 +22,7 @@ from skugga.api.cli.common_options import (
 from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.cli.same_command import same_command
-from skugga.terrain.whole_files import write_whole
+from skugga.terrain.atomic_files import write_atomically
 
 if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
@@ -34,7 +34,7 @@ def compare(
     context: typer.Context,
     view: ViewOption = "map",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write report.html and error pictures.")
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for report.html and error pictures.")
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the rows as JSON.")] = None,
     time: TimeOption = None,
@@ -43,13 +43,13 @@ def compare(
     size: SizeOption = None,
     bounds: BoundsOption = None,
     crs: CrsOption = None,
-    light: Annotated[str | None, typer.Option(help="The light to compare; default: the sun, else the first one.")] = None,
-    fine: Annotated[bool, typer.Option("--fine", help="16 sub-samples a pixel instead of 4.")] = False,
+    light: Annotated[str | None, typer.Option(help="Light to compare; default: the sun, else the first light.")] = None,
+    fine: Annotated[bool, typer.Option("--fine", help="16 sub-pixel samples per pixel instead of 4.")] = False,
     time_limit: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="Time limit for all rows and repeats, seconds; default: 70.")
     ] = None,
     only: Annotated[
-        list[str] | None, typer.Option(metavar="ROW", help="Only the row of this name; may be given several times.")
+        list[str] | None, typer.Option(metavar="ROW", help="Measure only the row of this name. May be repeated.")
     ] = None,
 ) -> None:
     """Compare algorithms and settings with ray-traced truth: error against time."""
@@ -74,4 +74,4 @@ def compare(
         write(scene, comparison, output, view, again)
     if json_file is not None:
         rows = [row.figures for row in comparison.rows]
-        write_whole(json_file, json.dumps(rows, indent=2) + "\n")
+        write_atomically(json_file, json.dumps(rows, indent=2) + "\n")

@@ -6,7 +6,7 @@ import typer
 
 
 def compile_loops() -> None:
-    """Compile all loops ahead, for this user and processor, so that no later command waits for it."""
+    """Compile all loops in advance, for this user and processor, so that later commands start faster."""
     from skugga.api.cli.compiling import compile_everything
 
     typer.echo(compile_everything())

@@ -23,9 +23,9 @@ from skugga.terrain.level.level_source import LevelSource
 @with_shadow_options("render")
 def compute_raster(
     level: LevelSource,
-    output: Annotated[Path, typer.Option("-o", "--output", help="GeoTIFF to write (COG).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Cloud-optimised GeoTIFF to write.")],
     product: Annotated[
-        str, typer.Option(help=f"{', '.join(RASTER_PRODUCTS)}.", autocompletion=complete_words(RASTER_PRODUCTS))
+        str, typer.Option(help=f"Product to compute: {', '.join(RASTER_PRODUCTS)}.", autocompletion=complete_words(RASTER_PRODUCTS))
     ] = "mask",
     time: TimeOption = None,
     azimuth: AzimuthOption = None,
@@ -33,10 +33,10 @@ def compute_raster(
     bounds: BoundsOption = None,
     crs: CrsOption = None,
     resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
-    like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Write the cells of this raster.")] = None,
+    like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Use the grid of this raster.")] = None,
     **asked: Any,
 ) -> None:
-    """Compute any product of a level as a raster of any size, by default on its own grid."""
+    """Compute any product of a level as a raster of any size, by default on the level's grid."""
     from skugga.api.cli.shading import RasterPlace, write_product
     from skugga.api.request import ProductRequest
 

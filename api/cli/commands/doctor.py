@@ -10,7 +10,7 @@ from skugga.api.cli.common_options import JsonOption
 
 
 def doctor(as_json: JsonOption = False) -> None:
-    """Check OpenGL and packages of this machine, and name what is missing."""
+    """Check OpenGL and packages on this machine, and name what is missing."""
     from skugga.api.cli.doctor import examine
 
     findings = examine()

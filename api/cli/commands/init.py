@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 def init(
     level: LevelSource,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Level file to write; default: NAME.yaml.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> None:
-    """Write the level file of a raster, with views, and with comments on what else it may say."""
+    """Write the level file of a raster, with views, and with comments on further keys."""
     from skugga.api.cli.first_level import write_first_level
 
     path = write_first_level(level, output, force)
-    typer.echo(printable(f"Wrote {path}. To see it: skugga serve {path}"))
+    typer.echo(printable(f"Wrote {path}. To view it: skugga serve {path}"))

@@ -13,16 +13,16 @@ from skugga.terrain.errors import printable
 
 
 def raster_overviews(
-    raster: Annotated[Path, typer.Argument(metavar="RASTER", help="A raster of heights, a virtual one too.", exists=True)],
-    nodata: Annotated[float | None, typer.Option(metavar="VALUE", help="Its value of cells without a height.")] = None,
+    raster: Annotated[Path, typer.Argument(metavar="RASTER", help="A raster of heights; it may be virtual (VRT).", exists=True)],
+    nodata: Annotated[float | None, typer.Option(metavar="VALUE", help="Value of the raster's cells without a height.")] = None,
     units: UnitsOption = None,
     positive: PositiveOption = None,
 ) -> None:
-    """Make overviews of a big raster beside it, in RASTER.ovr; the raster itself is only read."""
+    """Write overviews of a big raster to RASTER.ovr. The raster itself does not change."""
     from skugga.api.overviews import make_overviews, missing_overviews
-    from skugga.terrain.level.level_source import direction_named, units_named
+    from skugga.terrain.level.level_source import parse_positive, parse_units
 
-    stated = units_named("--units", units), direction_named("--positive", positive)
+    stated = parse_units("--units", units), parse_positive("--positive", positive)
     if (why_none := missing_overviews(raster)) is not None:
         typer.echo(printable(why_none))
         return

@@ -19,33 +19,35 @@ if TYPE_CHECKING:
 @takes_level
 def sun_at_point(
     level: LevelSource,
-    at: Annotated[str | None, typer.Option(metavar="LON,LAT", help="The point: degrees; or x,y of --crs.")] = None,
-    crs: Annotated[str | None, typer.Option(metavar="EPSG", help="CRS of the point.")] = None,
+    at: Annotated[str | None, typer.Option(metavar="LON,LAT", help="The point in degrees, or x,y in --crs.")] = None,
+    crs: Annotated[str | None, typer.Option(metavar="EPSG", help="CRS of --at.")] = None,
     time: TimeOption = None,
-    date: Annotated[str | None, typer.Option(help="Day, as 2024-10-21; default: that of --time, else today.")] = None,
-    clock: Annotated[str | None, typer.Option(help="solar, utc, +02:00 or Europe/Oslo; default: the offset of --time.")] = None,
-    height: Annotated[float, typer.Option(help="Metres above the ground.")] = 0.0,
-    year: Annotated[int | None, typer.Option(help="Hours of sun of each day of a year.")] = None,
+    date: Annotated[str | None, typer.Option(help="Day, such as 2024-10-21; default: the day of --time, else today.")] = None,
+    clock: Annotated[
+        str | None, typer.Option(help="Clock: solar, utc, +02:00 or Europe/Oslo; default: the offset of --time.")
+    ] = None,
+    height: Annotated[float, typer.Option(help="Height above the ground, metres.")] = 0.0,
+    year: Annotated[int | None, typer.Option(help="Report the hours of sun of each day of this year.")] = None,
     horizon: Annotated[
         str | None,
         typer.Option(
             metavar="FORMAT",
-            help=f"Print the horizon instead, or write it to --output: {', '.join(HORIZON_FORMATS)}.",
+            help=f"Print the horizon instead of the report, or write it to --output: {', '.join(HORIZON_FORMATS)}.",
             autocompletion=complete_words(HORIZON_FORMATS),
         ),
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for --horizon.")] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the horizon and the sun's paths: .svg or .png.")
+        Path | None, typer.Option(metavar="FILE", help="Write a chart of the horizon and the sun's paths: .svg or .png.")
     ] = None,
     points: Annotated[Path | None, typer.Option(metavar="FILE", help="Many points: .csv (lon, lat), .gpkg, .geojson ...")] = None,
-    line: Annotated[Path | None, typer.Option(metavar="FILE", help="A track: a line of any vector file.")] = None,
-    start: Annotated[str | None, typer.Option(help="When the track begins: ISO 8601 with an offset.")] = None,
-    speed: Annotated[float, typer.Option(help="Along the track, km/h.")] = 4.5,
-    every: Annotated[float, typer.Option(help="Metres between places of the track, at most.", min=0.1)] = 100.0,
+    line: Annotated[Path | None, typer.Option(metavar="FILE", help="A track: a vector file with a line.")] = None,
+    start: Annotated[str | None, typer.Option(help="Time at the start of the track, ISO 8601 with an offset.")] = None,
+    speed: Annotated[float, typer.Option(help="Speed along the track, km/h.")] = 4.5,
+    every: Annotated[float, typer.Option(help="Maximum distance between points on the track, metres.", min=0.1)] = 100.0,
     as_json: JsonOption = False,
 ) -> None:
-    """The sun at a point: lit or not and by what, a day's sun, the horizon."""
+    """Report the sun at a point: lit or in shadow and of what, the day's sun, the horizon."""
     from skugga.api.cli.point import PointOptions, check_point_options, report_line, report_point, report_points
     from skugga.terrain.level.level import parse_sun
 

@@ -28,27 +28,27 @@ from skugga.api.cli.product_parameters import product_options, with_product_opti
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.products import PRODUCTS, product_named
 from skugga.api.products.product import Product
+from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import StyleName
-from skugga.terrain.whole_files import write_whole
 
 _LAYERS = [name for name, product in PRODUCTS.items() if product.pass_layer is None and product.when != "days"]
 _PASS_LAYERS = [name for name, product in PRODUCTS.items() if product.pass_layer is not None]
 _LayerOption = Annotated[
     str,
     typer.Option(
-        help=f"{', '.join(_LAYERS[:-1])} or {_LAYERS[-1]}; or an algorithm's intermediate picture: {', '.join(_PASS_LAYERS)}.",
+        help=f"{', '.join(_LAYERS[:-1])} or {_LAYERS[-1]}; or an intermediate picture of an algorithm: {', '.join(_PASS_LAYERS)}.",
         autocompletion=complete_words([*_LAYERS, *_PASS_LAYERS]),
     ),
 ]
 _STYLES = ("auto", *get_args(StyleName))
 _StyleOption = Annotated[
-    str | None, typer.Option(help=f"How relief is shaded: {', '.join(_STYLES)}.", autocompletion=complete_words(_STYLES))
+    str | None, typer.Option(help=f"Style of relief shading: {', '.join(_STYLES)}.", autocompletion=complete_words(_STYLES))
 ]
 _SlopeExaggerationOption = Annotated[
-    float | None, typer.Option(help="Factor of slopes in shading, 0.1 to 20; cast shadows stay true.")
+    float | None, typer.Option(help="Factor of slopes in shading, 0.1 to 20; it does not change cast shadows.")
 ]
 
 
@@ -59,9 +59,7 @@ def render(
     level: LevelSource,
     output: Annotated[
         Path,
-        typer.Option(
-            "-o", "--output", help="File to write; the suffix sets the format. Of a film: .webp, .mp4 or frames/%04d.png."
-        ),
+        typer.Option("-o", "--output", help="File to write; the suffix sets the format. Films: .webp, .mp4 or frames/%04d.png."),
     ],
     view: ViewOption = "map",
     layer: _LayerOption = "color",
@@ -71,30 +69,31 @@ def render(
     size: SizeOption = None,
     bounds: BoundsOption = None,
     crs: CrsOption = None,
-    light: Annotated[str | None, typer.Option(help="The light to show, for layers of one light.")] = None,
+    light: Annotated[str | None, typer.Option(help="Light to show, for layers of a single light.")] = None,
     style: _StyleOption = None,
     slope_exaggeration: _SlopeExaggerationOption = None,
     seconds: SecondsOption = None,
     start: Annotated[
-        str | None, typer.Option("--from", metavar="TIME", help="Of a film: the first time, or a reading of the clock as 0s, ...")
+        str | None,
+        typer.Option("--from", metavar="TIME", help="Film: first time, or first clock reading such as 0s."),
     ] = None,
-    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="... the last one, ...")] = None,
-    step: Annotated[str | None, typer.Option(metavar="10m", help="... and what lies between two frames: as 30s, 10m, 1h.")] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Film: last time or reading.")] = None,
+    step: Annotated[str | None, typer.Option(metavar="10m", help="Film: interval between frames, such as 30s, 10m or 1h.")] = None,
     path: Annotated[
-        Path | None, typer.Option(metavar="CAMERA.yaml", help="Key positions with times of a camera that moves: a film.")
+        Path | None, typer.Option(metavar="CAMERA.yaml", help="Film: key positions and times of a moving camera.")
     ] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames a second of a film that plays; default: 25.")] = None,
-    lossless: Annotated[bool, typer.Option("--lossless", help="Of a film as .webp: lose nothing, at six times the size.")] = False,
+    fps: Annotated[float | None, typer.Option(help="Film: frames per second of playback; default: 25.")] = None,
+    lossless: Annotated[bool, typer.Option("--lossless", help="Film as .webp: lossless compression, six times the size.")] = False,
     max_ms: Annotated[
         float | None,
-        typer.Option(help="Draw what is expected to take longer than a service would draw (60 s a block): up to so long.", min=0.0),
+        typer.Option(help="Longest expected time of a block or view, ms; default: the limit of a service (60 s).", min=0.0),
     ] = None,
     stats: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
     ] = None,
     **asked: Any,
 ) -> None:
-    """Render one snapshot of a level's view into a file; or a film, under a sun or along a path that moves."""
+    """Render a view of a level to an image file, or to a film with a moving sun or camera."""
     from skugga.api.cli.film import FilmOptions, render_film
     from skugga.api.cli.snapshot import snapshot, statistics
     from skugga.api.request import ProductRequest
@@ -104,7 +103,7 @@ def render(
     film = FilmOptions(start, end, step, path, fps, lossless)
     if film.given:
         if light is not None:
-            raise InputError("--light", light, f"nothing beside {film.given[0]}: films are of all lights")
+            raise InputError.conflict("--light", film.given[0], "Leave out --light: films show all lights")
         sun, look = parse_sun(time, azimuth, altitude), (style, slope_exaggeration)
         view_options = read_size(size), read_bounds(bounds), crs, seconds
         render_film(level, output, film, view, layer, sun, overrides_of("render", asked), *view_options, look, stats)
@@ -118,13 +117,13 @@ def render(
         found = snapshot(level, view, request, overrides, *place, advance, seconds, light, max_ms, look)
     found.write(request, output)
     if stats is not None:
-        write_whole(stats, json.dumps(statistics(found), indent=2) + "\n")
+        write_atomically(stats, json.dumps(statistics(found), indent=2) + "\n")
 
 
 def check_output(product: Product, path: Path) -> None:
-    """Raise ``InputError`` unless a file of this suffix can hold the product."""
+    """Raise ``InputError`` unless the suffix is that of a format of the product."""
     suffixes = [f".{format}" for format in product.formats]
     if path.suffix.lower() not in suffixes:
-        raise InputError("output", str(path), f"for layer {product.name}: {', '.join(suffixes)}")
+        raise InputError("--output", str(path), f"{', '.join(suffixes)} for layer {product.name}")
     if not path.parent.is_dir():
         raise FileNotFoundError(2, "folder not found", str(path))

@@ -26,59 +26,61 @@ def seed(
         typer.Option(
             "-o",
             "--output",
-            help="An archive to write (.pmtiles), or a folder; of several times {time} in its name stands for each.",
+            help="Archive (.pmtiles) or folder to write. {time} in its name is replaced by each of several times.",
         ),
     ],
     zooms: Annotated[
         str | None,
-        typer.Option(metavar="A-B", help="First and last zoom; default: from the one that shows all to the one of the cells."),
+        typer.Option(metavar="A-B", help="First and last zoom; default: from one tile of all to the cells' resolution."),
     ] = None,
     layer: Annotated[
         str,
         typer.Option(
-            help=f"A layer that tiles are served in: {', '.join(SEEDED_PRODUCTS)}.",
+            help=f"Layer of the tiles: {', '.join(SEEDED_PRODUCTS)}.",
             autocompletion=complete_words(SEEDED_PRODUCTS),
         ),
     ] = "color",
     format: Annotated[str, typer.Option(help="png, webp or jpg.", autocompletion=complete_words(["png", "webp", "jpg"]))] = "png",
-    time: Annotated[str | None, typer.Option(help="Date and time, ISO 8601 with an offset, as 2024-10-21T16:30:00-04:00.")] = None,
-    times: Annotated[str | None, typer.Option(metavar="T,T,...", help="Several times, an output each.")] = None,
-    start: Annotated[str | None, typer.Option("--from", metavar="TIME", help="The first of many times, ...")] = None,
-    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="... the last, ...")] = None,
-    step: Annotated[str | None, typer.Option(metavar="1h", help="... and what lies between two.")] = None,
-    azimuth: Annotated[float | None, typer.Option(help="Degrees clockwise from north.")] = None,
-    altitude: Annotated[float | None, typer.Option(help="Degrees above the horizon as seen, refraction included.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Render processes; default: one a core.", min=1, max=1024)] = None,
+    time: Annotated[str | None, typer.Option(help="Date and time, ISO 8601 with an offset: 2024-10-21T16:30:00-04:00.")] = None,
+    times: Annotated[str | None, typer.Option(metavar="T,T,...", help="Several times, with one output each.")] = None,
+    start: Annotated[str | None, typer.Option("--from", metavar="TIME", help="First of many times.")] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Last of many times.")] = None,
+    step: Annotated[str | None, typer.Option(metavar="1h", help="Interval between two times.")] = None,
+    azimuth: Annotated[float | None, typer.Option(help="Azimuth of the sun, degrees clockwise from north.")] = None,
+    altitude: Annotated[float | None, typer.Option(help="Altitude of the sun in degrees, with refraction.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Number of render processes; default: one per core.", min=1, max=1024)] = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Draw on a Dask cluster, by its scheduler: tcp://host:8786.")
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Render on the Dask cluster of this scheduler: tcp://host:8786."),
     ] = None,
     work: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the task table; default: beside the output, its name and .seed.")
+        Path | None, typer.Option(metavar="DIR", help="Folder of the task table; default: the output's name and .seed.")
     ] = None,
     shards: Annotated[
-        str | None, typer.Option(metavar="PLACE", help="Folder or address (s3://...) of drawn tiles; default: in the work folder.")
+        str | None,
+        typer.Option(metavar="PLACE", help="Folder or address (s3://...) of rendered shards; default: in the work folder."),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would run, why, how long and how large; draw nothing.")
+        bool, typer.Option("--dry-run", help="Print the tasks that would run, why, their time and size; render nothing.")
     ] = False,
     max_tasks: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Draw nothing if more tasks than these would run.")
+        int | None, typer.Option(metavar="N", min=0, help="Render nothing if more than N tasks would run.")
     ] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try tasks that failed again.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed tasks again.")] = False,
     task_timeout: Annotated[
         float,
         typer.Option(
             metavar="S",
             min=1.0,
-            help="Seconds after which a render process that has not finished a task is ended, and another one tries; of tasks that "
-            "are expected to take more than a hundredth of that, a hundred times as long.",
+            help="Seconds after which a render process is ended if it has not finished its task; another process then retries. The "
+            "limit is at least a hundred times the expected time of the task.",
         ),
     ] = LEAST_LIMIT_S,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON: with --dry-run the outlook, else what was done.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON: the forecast of --dry-run, or a summary.")] = False,
     **asked: Any,
 ) -> None:
-    """Draw a level's tiles ahead, into an archive (PMTiles) or a folder. What was drawn is kept: the same command goes on, and
-    draws what has changed.
+    """Render a level's tiles in advance, into an archive (PMTiles) or a folder. The same command resumes an interrupted run,
+    and redraws what has changed.
     """
     from skugga.api.cli.seeding import SeedOptions, seed_level
 

@@ -45,27 +45,29 @@ def select(
     policy: Annotated[
         str,
         typer.Option(
-            help="rules: fixed rules; predict: cost and error models of this device; probe: the same, corrected by candidates that "
-            "are drawn and compared with ray-traced truth; measure: a probe without a limit of time (minutes).",
+            help="rules: fixed rules; predict: cost and error models of this device; probe: predict, corrected by candidates that "
+            "are rendered and compared with ray-traced truth; measure: probe without a time limit (minutes).",
             autocompletion=complete_words(get_args(PolicyName)),
         ),
     ] = "probe",
-    budget: Annotated[str | None, typer.Option(metavar="TIME", help="Time of a probe, as 3s (the default) or 1m.")] = None,
+    budget: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Time limit of a probe, such as 3s (the default) or 1m.")
+    ] = None,
     as_json: JsonOption = False,
     write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
     all_views: Annotated[
-        bool, typer.Option("--all-views", help="Choose for each view of the level, and for its tiles (map); prints a table.")
+        bool, typer.Option("--all-views", help="Choose for each view and for the tiles (map); print a table.")
     ] = False,
     all_scales: Annotated[
         bool,
         typer.Option(
             "--all-scales",
-            help="Probe the level's maps and tiles at all their scales; prints a table. --write keeps what was seen in the user's "
-            "cache: services make plans of tiles by it.",
+            help="Probe the level's maps and tiles at all their scales; print a table. --write saves the probes to the user's "
+            "cache, and services plan tiles with them.",
         ),
     ] = False,
     descriptor: Annotated[
-        Path | None, typer.Option(metavar="FILE.json", help="Write the facts of the view to a file; POST /plan accepts it.")
+        Path | None, typer.Option(metavar="FILE.json", help="Write the descriptor of the view to a file; POST /plan accepts it.")
     ] = None,
     time: TimeOption = None,
     azimuth: AzimuthOption = None,
@@ -76,7 +78,7 @@ def select(
     seconds: SecondsOption = None,
     **asked: Any,
 ) -> None:
-    """Choose algorithms and settings for a view, and say why; or for all views of a level."""
+    """Choose algorithms and settings for one view or all views of a level, and give the reasons."""
     from skugga.api.cli.planning import pin_plan, plan_level_view, write_descriptor
     from skugga.api.report.plan_text import format_plan
 
@@ -124,7 +126,7 @@ def _select_all(
 
 
 def _print_choices(rows: list[dict[str, Any]], table: Table, as_json: bool, message: str | None) -> None:
-    """Print choices as JSON or as a table, and what was written."""
+    """Print choices as JSON or as a table; print the message on standard error."""
     from rich.console import Console
 
     if as_json:

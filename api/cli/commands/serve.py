@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from skugga.api.cli.level_argument import takes_level
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.gdal_guard import forbid_remote_reads
 
 if TYPE_CHECKING:
@@ -22,13 +22,13 @@ def serve(
     levels: list[LevelSource],
     folder: Annotated[
         Path | None,
-        typer.Option("--levels", metavar="DIR", help="Serve the level files of a folder, too; SIGHUP looks which there are."),
+        typer.Option("--levels", metavar="DIR", help="Serve the level files of this folder too; SIGHUP reads the folder again."),
     ] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on.", min=0, max=65535)] = None,
-    workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
+    workers: Annotated[int | None, typer.Option(help="Number of render processes.", min=1)] = None,
 ) -> None:
-    """Serve levels as map tiles over HTTP, with a viewer on /; and archives of tiles (.pmtiles) as they are."""
+    """Serve levels as map tiles over HTTP, with a viewer on /. Archives of tiles (.pmtiles) are served unchanged."""
     from skugga.api.catalogue import ARCHIVE_SUFFIX, bundled_levels
     from skugga.api.settings import load_settings
     from skugga.api.workers.spawned import Spawned
@@ -40,20 +40,20 @@ def serve(
     settings = load_settings(**{key: value for key, value in options.items() if value is not None})
     if not settings.remote_sources:
         forbid_remote_reads()
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the service ends in an order of its own
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the service handles SIGTERM itself
     archives = [each for each in levels if each.path.suffix.lower() == ARCHIVE_SUFFIX]
     for option in (option for each in archives for option in each.options):
-        raise InputError(f"--{option}", str(levels[0].path), "a raster beside it: an archive is served as it is")
+        raise InputError(f"--{option}", Problem(f"does not apply to {levels[0].path}, an archive of tiles"), "Leave it out")
     for named in (each for each in archives if each.name is not None):
-        raise InputError("LEVEL", f"{named.name}={named.path}", "a level after NAME=: an archive has its file's name")
+        raise InputError("LEVEL", f"{named.name}={named.path}", "NAME= before a level only; an archive has the name of its file")
     if not levels and settings.levels is None:
         levels = [LevelSource(path=path) for path in bundled_levels()]
     drawn = [each for each in levels if each not in archives]
     spawned = None
     if drawn or settings.levels is not None:
-        with suppress(OSError):  # one is started again later, as whenever that fails
+        with suppress(OSError):  # the service starts one later, as after any failed start
             spawned = Spawned(worker_main, first_config(settings))
-            spawned.start()  # before the imports of this process, which take as long as its own
+            spawned.start()  # in parallel with the imports of this process, which take as long
     from skugga.api.http.server.server import serve as run
 
     try:

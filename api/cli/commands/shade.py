@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from skugga.api.raster_file import RasterCells
 
 SHADED = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
-"""Products of the sun of a moment."""
+"""Products of the sun at a moment."""
 
 
 @takes_level
@@ -30,27 +30,30 @@ SHADED = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
 def shade_raster(
     level: LevelSource,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="GeoTIFF to write (COG); of several times {time} in its name stands for each.")
+        Path,
+        typer.Option("-o", "--output", help="GeoTIFF (COG) to write. {time} in its name is replaced by each of several times."),
     ],
-    layer: Annotated[str, typer.Option(help=f"{', '.join(SHADED)}.", autocompletion=complete_words(SHADED))] = "mask",
+    layer: Annotated[
+        str, typer.Option(help=f"Layer to write: {', '.join(SHADED)}.", autocompletion=complete_words(SHADED))
+    ] = "mask",
     time: TimeOption = None,
     times: Annotated[str | None, typer.Option(metavar="T,T,...", help="Several times, in one run.")] = None,
-    start: Annotated[str | None, typer.Option("--from", metavar="TIME", help="The first of many times, ...")] = None,
-    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="... the last, ...")] = None,
-    step: Annotated[str | None, typer.Option(metavar="15m", help="... and what lies between two: as 15m, 1h or 1d.")] = None,
+    start: Annotated[str | None, typer.Option("--from", metavar="TIME", help="First of many times.")] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Last of many times.")] = None,
+    step: Annotated[str | None, typer.Option(metavar="15m", help="Interval between two times, such as 15m, 1h or 1d.")] = None,
     azimuth: AzimuthOption = None,
     altitude: AltitudeOption = None,
     bounds: BoundsOption = None,
     crs: CrsOption = None,
     resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
-    like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Write the cells of this raster.")] = None,
+    like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Use the grid of this raster.")] = None,
     stac: Annotated[
         Path | None,
-        typer.Option(metavar="ITEM.json", help="The sun, or the time, of a STAC item, and its finest cells if it has any."),
+        typer.Option(metavar="ITEM.json", help="Use the sun or the time of a STAC item, and its finest grid if it has one."),
     ] = None,
     **asked: Any,
 ) -> None:
-    """Write the shade of a raster of any size, by default on its own grid."""
+    """Write a shadow mask as a raster of any size, by default on the level's grid."""
     from skugga.api.cli.shading import RasterPlace, scene_of_item, write_product
     from skugga.api.request import ProductRequest
 

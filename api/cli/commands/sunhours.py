@@ -20,36 +20,39 @@ if TYPE_CHECKING:
 @takes_level
 def sun_hours_raster(
     level: LevelSource,
-    output: Annotated[Path, typer.Option("-o", "--output", help="GeoTIFF to write (COG).")],
-    date: Annotated[str, typer.Option(metavar="DATE", help="The date, or the first of many, as 2024-03-21.")],
-    last: Annotated[str | None, typer.Option("--to", metavar="DATE", help="The last of many dates, ...")] = None,
-    every: Annotated[str, typer.Option(metavar="1d", help="... and what lies between two.")] = "1d",
-    window: Annotated[str, typer.Option(metavar="HH:MM-HH:MM", help="The part of each day that counts.")] = "00:00-24:00",
+    output: Annotated[Path, typer.Option("-o", "--output", help="Cloud-optimised GeoTIFF to write.")],
+    date: Annotated[str, typer.Option(metavar="DATE", help="The date, or the first of many: 2024-03-21.")],
+    last: Annotated[str | None, typer.Option("--to", metavar="DATE", help="Last of many dates.")] = None,
+    every: Annotated[str, typer.Option(metavar="1d", help="Interval between two dates.")] = "1d",
+    window: Annotated[str, typer.Option(metavar="HH:MM-HH:MM", help="Daily window that counts.")] = "00:00-24:00",
     clock: Annotated[
-        str, typer.Option(help="What dates and windows go by: solar (true solar time), utc, an offset, or a zone as Europe/Oslo.")
+        str,
+        typer.Option(help="Clock of dates and windows: solar (true solar time), utc, an offset or a zone (Europe/Oslo)."),
     ] = "solar",
     step: Annotated[
         str,
         typer.Option(
             metavar="5m",
-            help="Time between two suns (crossings in between are found), or auto: as long as hours stay right on that ground.",
+            help="Time between two suns (crossings in between are found), or auto: the longest step that keeps hours accurate.",
         ),
     ] = "auto",
     quantity: Annotated[
         str,
-        typer.Option(help="hours (mean of the dates), first, last, longest or days.", autocompletion=complete_words(QUANTITIES)),
+        typer.Option(
+            help="Quantity: hours (mean of the dates), first, last, longest or days.", autocompletion=complete_words(QUANTITIES)
+        ),
     ] = "hours",
-    threshold: Annotated[str, typer.Option(metavar="2h", help="Sun that a day needs to count, for days.")] = "2h",
-    least_altitude: Annotated[float, typer.Option(help="Least altitude of a sun that counts, degrees.")] = 0.0,
-    height: Annotated[float, typer.Option(help="Height above the ground from which the sun is seen, metres.")] = 0.0,
+    threshold: Annotated[str, typer.Option(metavar="2h", help="For days: sun that a day needs to count.")] = "2h",
+    least_altitude: Annotated[float, typer.Option(help="Minimum altitude of a sun that counts, degrees.")] = 0.0,
+    height: Annotated[float, typer.Option(help="Height of the receiver above the ground, metres.")] = 0.0,
     bounds: BoundsOption = None,
     crs: CrsOption = None,
     resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
-    like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Write the cells of this raster.")] = None,
-    contours: Annotated[Path | None, typer.Option(metavar="FILE.gpkg", help="Write contours, too.")] = None,
+    like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Use the grid of this raster.")] = None,
+    contours: Annotated[Path | None, typer.Option(metavar="FILE.gpkg", help="Write contours to this file too.")] = None,
     levels: Annotated[str, typer.Option(metavar="V,V,...", help="Values of the contours.")] = "1,2,3,4,6,8,10,12",
 ) -> None:
-    """Write hours of sun, first or last sun of a raster of any size, over dates and daily windows."""
+    """Write hours of sun, first or last sun as a raster of any size, over dates and daily windows."""
     from skugga.api.cli.shading import RasterPlace, write_product
     from skugga.api.cli.sunning import contour_values, sun_hours_request
 

@@ -20,6 +20,6 @@ def validate(level: LevelSource) -> None:
     from skugga.terrain.level.level import load_level
 
     loaded, notes = load_level(level), remarks(level)
-    typer.echo(printable(f"{level.path}: right. {loaded.level.title or loaded.name}; views: {', '.join(loaded.level.views)}"))
+    typer.echo(printable(f"{level.path}: valid. {loaded.level.title or loaded.name}; views: {', '.join(loaded.level.views)}"))
     for remark in notes:
         typer.echo(printable(f"  note: {remark}"))

@@ -44,7 +44,9 @@ async def qgis_layers_of_level(request: Request, service: TheService, level: Lev
     """A file to be dragged into QGIS: shaded relief, shadows and hours of sun by WMTS, with times, and heights."""
     served = await service.level(level)
     if not served.zooms:
-        raise UnsupportedError("level", level, f"{served.world.off_earth or 'it lies outside of all maps'}, so there are no tiles")
+        raise UnsupportedError(
+            "level", level, f"{served.world.off_earth_reason or 'it lies outside of all maps'}, so there are no tiles"
+        )
     base = base_url(request, service.settings.public_url)
     return document_answer(request, await run_in_threadpool(qgis_layers, served, base, this_year()), QLR_MEDIA)
 
@@ -71,7 +73,7 @@ async def lines_of_level(
     show what the query asks of the tiles.
     """
     served = await service.level(level)
-    if served.world.off_earth is not None:
-        raise UnsupportedError("level", level, f"{served.world.off_earth}, so there are no tiles")
+    if served.world.off_earth_reason is not None:
+        raise UnsupportedError("level", level, f"{served.world.off_earth_reason}, so there are no tiles")
     lines = snippets(served, base_url(request, service.settings.public_url), shown)
     return json_answer(request, [{"client": client, "text": text} for client, text in lines])

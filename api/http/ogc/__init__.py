@@ -1,1 +1,1 @@
-"""OGC's services, WMS and WMTS: what they are asked, their documents in XML, a layer file for QGIS."""
+"""OGC services, WMS and WMTS: requests, XML documents, and a layer file for QGIS."""

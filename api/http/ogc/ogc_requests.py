@@ -1,4 +1,4 @@
-"""Requests by keys and values, as WMTS and WMS have them: names of any case, layers as ``level:layer``, and what is shown."""
+"""Parse requests of WMS and WMTS by keys and values (KVP): keys in any case, and layers named ``level:layer``."""
 
 from __future__ import annotations
 
@@ -19,49 +19,49 @@ from skugga.api.http.state.service import service_of
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
 from skugga.api.products.product import MEDIA_TYPES, MapFormat, ProductOptions
 from skugga.api.request import ProductRequest
-from skugga.terrain.errors import MISSING_VALUE, Problem, InputError, SkuggaError
+from skugga.terrain.errors import MISSING_VALUE, InputError, Problem, SkuggaError
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.style import STYLES
 
 GIS_FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg", "tif")
-"""Formats that map clients know, the first one of a layer the one to take."""
+"""Formats that map clients know. The first one that a layer has is preferred."""
 
 OWN_KEYS = frozenset({"WIDTH", "HEIGHT", "FORMAT", "STYLE", "STYLES", "TIME", "DATE", "I", "J"})
-"""Keys that have a meaning of their own: no options of products, though some have the same name."""
+"""Keys that WMS and WMTS define. They are no options of products, although some options have the same names."""
 
 DocumentKind = Literal["WMTS", "WMS"]
 
 
 class KeyValues:
-    """The keys and values of a request. Raises ``InputError`` for a key given twice."""
+    """The keys and values of a request. Keys are in upper case. Raises ``InputError`` for a repeated key."""
 
     def __init__(self, request: Request) -> None:
         self._values: dict[str, str] = {}
         for name, value in request.query_params.multi_items():
             if name.upper() in self._values:
-                raise InputError(name.upper(), Problem("given more than once"), "one value")
+                raise InputError(name.upper(), Problem("given more than once"), "Give it once")
             self._values[name.upper()] = value
 
     def get(self, name: str) -> str | None:
-        """A value; ``None`` where there is none, or an empty one."""
+        """Return a value; ``None`` if it is missing or empty."""
         return self._values.get(name) or None
 
-    def need(self, name: str, allowed: str) -> str:
-        """A value. Raises ``InputError``."""
+    def need(self, name: str, remedy: str) -> str:
+        """Return a value. Raises ``InputError`` with a remedy if it is missing."""
         value = self.get(name)
         if value is None:
-            raise InputError(name, MISSING_VALUE, allowed)
+            raise InputError.missing(name, remedy)
         return value
 
     def whole(self, name: str) -> int:
-        """A whole number. Raises ``InputError``."""
-        value = self.need(name, "a whole number")
+        """Return a whole number. Raises ``InputError``."""
+        value = self.need(name, "Give a whole number")
         if not (value.isascii() and value.isdigit() and len(value) < 10):
             raise InputError(name, value, "a whole number")
         return int(value)
 
     def number(self, name: str) -> float | None:
-        """A number, if there is one. Raises ``InputError``."""
+        """Return a number; ``None`` if it is missing. Raises ``InputError``."""
         value = self.get(name)
         number = None if value is None else decimal_in(value)
         if value is not None and number is None:
@@ -70,37 +70,38 @@ class KeyValues:
 
 
 def styles_of(layer: str) -> dict[str, str]:
-    """The styles of a layer by name, and what they are, the level's own first."""
+    """Return the styles of a layer, as descriptions by name. The level's own style comes first."""
     others = {style.name: style.about for style in STYLES.values()} if PRODUCTS[layer].is_display else {}
     return {OWN_STYLE: "Default", **others}
 
 
 def layer_title(level: ServedLevel, layer: str) -> str:
-    """A layer of a level in words."""
+    """Return the title of a layer of a level."""
     title = level.loaded.level.title or level.name
     return f"{title}: {layer}"
 
 
 def layer_name(level: ServedLevel, layer: str) -> str:
-    """A layer of a level by its name in WMTS and WMS."""
+    """Return the name of a layer of a level in WMTS and WMS."""
     return f"{level.name}:{layer}"
 
 
 def split_layer(key: str, name: str) -> tuple[str, str]:
-    """A level's name and a layer. Raises ``NotServedError``."""
+    """Return the level's name and the layer of a WMS or WMTS layer name. Raises ``NotServedError``."""
     level, colon, layer = name.rpartition(":")
     if not colon or layer not in MAP_PRODUCTS:
-        raise NotServedError(key, f"{key}: there is no layer {name[:80]!r}; layers are LEVEL:{{{','.join(MAP_PRODUCTS)}}}.")
+        message = f"{key}: layer {name[:80]!r} does not exist. Use LEVEL:LAYER; layers are {', '.join(MAP_PRODUCTS)}."
+        raise NotServedError(key, message)
     return level, layer
 
 
 def gis_formats(layer: str) -> tuple[MapFormat, ...]:
-    """The formats of a layer that map clients know."""
+    """Return the formats of a layer that map clients know."""
     return tuple(format for format in GIS_FORMATS if format in PRODUCTS[layer].map_formats)
 
 
 def format_named(media_type: str) -> MapFormat:
-    """The format of a media type. Raises ``InputError``."""
+    """Return the format of a media type. Raises ``InputError``."""
     for format, known in MEDIA_TYPES.items():
         if media_type.lower().split(";")[0].strip() in (known, format):
             return format
@@ -108,31 +109,34 @@ def format_named(media_type: str) -> MapFormat:
 
 
 def options_asked(level: ServedLevel, layer: str, asked: KeyValues) -> ProductOptions:
-    """The options of a product by keys of their names; the date of one of whole dates is that of TIME. Raises ``InputError``."""
+    """Return the options of a product from the keys of a request.
+
+    Keys have the names of the options. A product of whole dates takes its date from TIME. Raises ``InputError``.
+    """
     product = PRODUCTS[layer]
     names = [name for name in served_options(product) if name.upper() not in OWN_KEYS]
     for name in PRODUCT_OPTIONS:
         key = name.upper()
         if name not in names and key not in OWN_KEYS and asked.get(key) is not None:
-            raise InputError(key, asked.get(key), f"nothing: {layer} has no such option")
+            raise InputError(key, Problem(f"layer {layer} has no such option"), "Omit it")
     given: dict[str, object] = {name: value for name in names if (value := asked.get(name.upper())) is not None}
     if product.when == "days":
         given["date"] = date_asked(asked.get("TIME"), default_date(level, this_year()))
     try:
         return product.options_of({**product.options.UNSERVED, **given})
     except InputError as error:
-        raise InputError(error.name.upper(), error.value, error.allowed) from None
+        raise error.renamed(error.name.upper()) from None
 
 
 def sun_at_time(request: Request, level: ServedLevel, asked: KeyValues) -> SunSpec | None:
-    """The sun of a request's TIME, or of its AZIMUTH and ALTITUDE; ``None``: the level's own. Raises ``InputError``."""
+    """Return the sun of a request's TIME, or of its AZIMUTH and ALTITUDE; ``None``: the level's own. Raises ``InputError``."""
     instant = instant_asked(asked.get("TIME"), level.world.anchor_lon_deg)
     grain_s = service_of(request).settings.time_grain_s
     return asked_sun(request, instant, asked.number("AZIMUTH"), asked.number("ALTITUDE"), grain_s)
 
 
 def shown_asked(request: Request, level: ServedLevel, layer: str, asked: KeyValues, style_key: str) -> ProductRequest:
-    """What a layer shows at a request's TIME, or under the sun of its AZIMUTH and ALTITUDE, in the style of a key.
+    """Return the product request of a layer, with the request's options, sun, and the style of ``style_key``.
 
     Raises ``InputError``.
     """
@@ -146,15 +150,16 @@ def shown_asked(request: Request, level: ServedLevel, layer: str, asked: KeyValu
 
 
 def this_year() -> int:
-    """The year that levels without a time of their own are shown in."""
+    """Return the current year, which levels without a time of their own use."""
     return datetime.now(UTC).year
 
 
 def exception_answer(
     request: Request, error: SkuggaError, codes: dict[str, str], written: Callable[[str, str | None, str], bytes]
 ) -> Response:
-    """An error in a service's own XML, with the status that ``skugga.api.errors`` has for it. ``codes`` are the service's codes by
-    the names of parameters.
+    """Return an error as a response in a service's XML, with its status from ``skugga.api.errors``.
+
+    ``codes`` are the exception codes of the service by parameter. ``written`` writes the XML of a code, a parameter and a text.
     """
     outcome, text = public_error(request, error)
     headers = {"Cache-Control": "no-store"}

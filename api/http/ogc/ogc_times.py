@@ -1,4 +1,4 @@
-"""Times as map clients of the Open Geospatial Consortium's services ask for them, and the times that they are told of."""
+"""Parse the TIME of WMS and WMTS requests, and list the times of the capabilities."""
 
 from __future__ import annotations
 
@@ -14,22 +14,20 @@ from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
 from skugga.terrain.level.level import parse_sun
 
 OFFERED_STEP = timedelta(minutes=10)
-"""Between the times that clients are told of. Any other time is served as well; ``current`` is, but advertised
-nowhere.
-"""
+"""Step between the times that the capabilities list. Any other time is served, too; ``current`` is served, but never listed."""
 
 EQUINOX = 3, 21
-"""Month and day that clients are told of where a level's sun has no time."""
+"""Month and day of the default date of a level whose sun has no time."""
 
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 _OFFSET = re.compile(r"(Z|z|[+\- ]\d\d:?\d\d)$")
 
 
 def instant_asked(text: str | None, lon_deg: float) -> str | None:
-    """The instant (ISO 8601 with an offset) that a TIME asks for; ``None`` for the level's own sun; ``current`` stays.
+    """Return the instant of a TIME in ISO 8601 with an offset, ``None`` for the level's own sun, or ``current``.
 
-    Without an offset it is in UTC; a date is its noon by the sun at a longitude; of an interval its begin. What is none of these is
-    left as it is, for ``skugga.terrain.level.level.parse_sun`` to refuse.
+    A time without an offset is in UTC. A date means its solar noon at a longitude. An interval means its begin. Any other text is
+    returned unchanged; ``skugga.terrain.level.level.parse_sun`` refuses it.
     """
     if text is None or text.strip().lower() in ("", OWN_TIME):
         return None
@@ -46,32 +44,40 @@ def instant_asked(text: str | None, lon_deg: float) -> str | None:
 
 
 def date_asked(text: str | None, default: date) -> date:
-    """The date that a TIME of a layer of whole dates asks for. Raises ``InputError``."""
+    """Return the date of a TIME, for a layer of whole dates. Raises ``InputError``."""
     if text is None or text.strip().lower() in ("", OWN_TIME):
         return default
     try:
         day = date.fromisoformat(text.strip()[:10])
     except ValueError:
-        raise InputError("time", text, "a date, as 2024-03-21") from None
+        raise InputError("time", text, "a date, such as 2024-03-21") from None
     check_date(day, "time")
     return day
 
 
 @dataclass(frozen=True)
 class TimeDimension:
-    """What clients are told of a layer's times: the default, and all of them as one ``begin/end/period``."""
+    """The time dimension of a layer.
+
+    Attributes
+    ----------
+    default
+        The default time or date.
+    span
+        All times, as ``begin/end/period``.
+    """
 
     default: str
     span: str
 
 
 def time_dimension(level: ServedLevel, layer: str, year: int, asked: str | None = None) -> TimeDimension:
-    """The times of a layer that changes with the sun.
+    """Return the times of a layer that changes with the sun.
 
-    The default is the level's own time, or, where its sun has angles alone, ``default``; of hours of sun it is the date of that, or
-    the equinox. The others are those of its year, or of ``year``: the sun of any other is the same to a fraction of a degree. They
-    are counted so that the level's own time is among them: a time listed beside them QGIS takes for their begin. With ``asked``,
-    that is the default. Raises ``InputError``.
+    The default is ``asked``, else the level's own time. A level whose sun has only angles has the default ``default``. For hours of
+    sun the default is the date of the level's time, or the equinox. The span is the year of the level's time, or else ``year``; the
+    sun of any other year is the same to a fraction of a degree. The steps include the level's own time, because QGIS takes a
+    time that is listed beside a span for the begin of that span. Raises ``InputError``.
     """
     own, day = own_time(level), default_date(level, year)
     if PRODUCTS[layer].when == "days":
@@ -94,19 +100,19 @@ def _default_asked(text: str | None, lon_deg: float) -> str | None:
 
 
 def own_time(level: ServedLevel) -> datetime | None:
-    """The time of a level's own sun, where it has one."""
+    """Return the time of a level's own sun; ``None`` if it has none."""
     sun = level.loaded.level.sun
     return None if sun is None or sun == "none" else sun.time
 
 
 def default_date(level: ServedLevel, year: int) -> date:
-    """The date of a level's own sun by its own offset, else the equinox of a year."""
+    """Return the date of a level's own sun in its own UTC offset, else the equinox of a year."""
     own = own_time(level)
     return date(year, *EQUINOX) if own is None else own.date()
 
 
 def _past_step(own: datetime | None) -> timedelta:
-    """How long a time is past a whole multiple of the step, in whole seconds."""
+    """Return a time modulo the step, in whole seconds."""
     return timedelta(seconds=0 if own is None else int(own.timestamp()) % OFFERED_STEP.seconds)
 
 

@@ -1,4 +1,4 @@
-"""XML of the Open Geospatial Consortium's services: elements with their prefixes, and exceptions."""
+"""Build the XML of OGC services: elements with namespace prefixes, and exception documents."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ WEST_180, EAST_180 = -180.0, 180.0
 
 
 def add(parent: Element, tag: str, text: object = None, **attributes: str) -> Element:
-    """A new last child; an attribute's first underscore stands for the colon after its prefix."""
+    """Append a child and return it. The first underscore of an attribute stands for the colon after its prefix."""
     child = SubElement(parent, tag, {name.replace("_", ":", 1): value for name, value in attributes.items()})
     child.text = None if text is None else str(text)
     return child
 
 
 def document(root: Element) -> bytes:
-    """The bytes of a document, indented."""
+    """Return the bytes of a document, indented."""
     indent(root)
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="utf-8") + b"\n"
 
 
 def written(values: Iterable[float], separator: str = " ") -> str:
-    """Coordinates as they are read back to the last bit."""
+    """Return coordinates as text that reads back to the same floats."""
     return separator.join(repr(float(value)) for value in values)
 
 
 def lon_lat_box(bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """West, south, east, north within 180 degrees: all of the earth round where a level crosses the antimeridian, since boxes there
-    may not.
+    """Return west, south, east and north in degrees, within -180 and 180.
+
+    A level that crosses the antimeridian gets all longitudes, because boxes may not cross it.
     """
     west, south, east, north = bounds
     return bounds if west >= WEST_180 and east <= EAST_180 else (WEST_180, south, EAST_180, north)
 
 
 def ows_exception(code: str, locator: str | None, text: str) -> bytes:
-    """An ``ExceptionReport`` of OWS Common 1.1.0, 8.3."""
+    """Return an ``ExceptionReport`` of OWS Common 1.1.0, 8.3."""
     root = Element(
         "ows:ExceptionReport", {"xmlns:ows": "http://www.opengis.net/ows/1.1", "version": "1.1.0", "xml:lang": "en"}
     )  # fmt: skip
@@ -48,7 +49,7 @@ def ows_exception(code: str, locator: str | None, text: str) -> bytes:
 
 
 def wms_exception(code: str, locator: str | None, text: str) -> bytes:
-    """A ``ServiceExceptionReport`` of WMS 1.3.0, 6.11."""
+    """Return a ``ServiceExceptionReport`` of WMS 1.3.0, 6.11."""
     root = Element("ServiceExceptionReport", {"xmlns": "http://www.opengis.net/ogc", "version": "1.3.0"})
     add(root, "ServiceException", text, code=code, **({} if locator is None else {"locator": locator}))
     return document(root)

@@ -1,4 +1,4 @@
-"""A level as a file of layers for QGIS, to be dragged into its window."""
+"""Write a level as a QGIS layer definition file, which users drag into the QGIS window."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from skugga.api.products.sun_hours import NAME as SUN_HOURS
 from skugga.terrain.geo.grid import crs_of_tiles
 
 QGIS_LAYERS = ("color", "shadow", SUN_HOURS)
-"""Layers of the file; QGIS shows the first one at once."""
+"""Layers of the file. The first one is checked, so QGIS shows it at once."""
 
 HEIGHTS_TITLE = "heights"
 
 
 def qgis_layers(level: ServedLevel, base_url: str, year: int) -> bytes:
-    """The layers of a level that lies on earth, as a QGIS layer definition: by WMTS, so that QGIS's temporal controller moves their
-    time; and its heights, by which QGIS can show it in three dimensions.
+    """Return the layers of a level that lies on earth, as a QGIS layer definition.
+
+    The layers are WMTS layers, so QGIS's temporal controller moves their time. Heights come as Terrarium tiles, with which QGIS
+    shows the level in three dimensions.
     """
     root = Element("qlr")
     tree = add(root, "layer-tree-group")
@@ -54,7 +56,7 @@ def qgis_layers(level: ServedLevel, base_url: str, year: int) -> bytes:
 
 
 def qgis_matrix_set(level: ServedLevel) -> str:
-    """The tile matrix set that QGIS shows a level in."""
+    """Return the name of the tile matrix set for a level in QGIS: the default set, else the level's first."""
     return DEFAULT_MATRIX_SET if DEFAULT_MATRIX_SET in level.zooms else next(iter(level.zooms))
 
 
@@ -63,7 +65,7 @@ def _crs_of(matrix_set: str) -> str:
 
 
 def _wmts(level: ServedLevel, layer: str, base_url: str, year: int) -> str:
-    """A data source of QGIS's provider ``wms``."""
+    """Return a data source of QGIS's provider ``wms``."""
     return urlencode(
         {
             "crs": _crs_of(qgis_matrix_set(level)), "dpiMode": "7", "format": "image/png", "layers": layer_name(level, layer),
@@ -90,4 +92,4 @@ def _add(group: Element, layers: Element, layer_id: str, title: str, source: str
     layer = add(layers, "maplayer", type="raster")
     for tag, text in (("id", layer_id), ("datasource", source), ("layername", title), ("provider", "wms")):
         add(layer, tag, text)
-    add(add(add(layer, "srs"), "spatialrefsys"), "authid", crs)  # QGIS takes it from here, and not from the source
+    add(add(add(layer, "srs"), "spatialrefsys"), "authid", crs)  # QGIS reads the CRS from here, not from the data source

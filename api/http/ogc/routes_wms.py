@@ -1,4 +1,4 @@
-"""The Web Map Service, WMS 1.3.0: capabilities, maps, what is at a point, legends."""
+"""Serve WMS 1.3.0, the Web Map Service: capabilities, maps, feature info and legends."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ WMS_CODES = {
     "STYLES": "StyleNotDefined", "STYLE": "StyleNotDefined", "CRS": "InvalidCRS", "FORMAT": "InvalidFormat",
     "INFO_FORMAT": "InvalidFormat", "I": "InvalidPoint", "J": "InvalidPoint", "TIME": "InvalidDimensionValue",
 }  # fmt: skip
-"""Exception codes of WMS 1.3.0, table E.1, by the parameter to blame; where it has none, those of OWS Common."""
+"""Exception codes by the wrong parameter: those of WMS 1.3.0, table E.1, or else those of OWS Common."""
 
 
 WMS_KEYS = key_values(
@@ -93,25 +93,27 @@ WMS_DOCS = file_docs(
 
 @router.get("/wms", summary="WMS", responses=WMS_DOCS, openapi_extra=WMS_KEYS | WMS_EXAMPLE)
 async def wms(request: Request, service: TheService) -> Response:
-    """`REQUEST=GetCapabilities`, `GetMap`, `GetFeatureInfo` or `GetLegendGraphic`, of layers as level:layer; with `TIME`, or
-    `AZIMUTH` and `ALTITUDE`. Extents are in the order of the CRS's own axes: latitude first in EPSG:4326.
+    """Answer `REQUEST=GetCapabilities`, `GetMap`, `GetFeatureInfo` or `GetLegendGraphic`.
+
+    Layers are named level:layer. The sun comes from `TIME`, or from `AZIMUTH` and `ALTITUDE`. Extents have the axis order of the
+    CRS: latitude first in EPSG:4326.
     """
     return await _answer(request, service, None)
 
 
 @router.get("/levels/{level}/wms", summary="WMS of a level", responses=WMS_DOCS, openapi_extra=WMS_KEYS | WMS_EXAMPLE)
 async def wms_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
-    """The same; its capabilities are of one level."""
+    """Answer the same requests. The capabilities list this level alone."""
     return await _answer(request, service, level)
 
 
 async def _answer(request: Request, service: Service, level: str | None) -> Response:
     try:
         asked = KeyValues(request)
-        wanted = asked.need("REQUEST", OPERATIONS)
+        wanted = asked.need("REQUEST", f"Use one of {OPERATIONS}")
         if (asked.get("SERVICE") or "WMS").upper() != "WMS":
             raise InputError("SERVICE", asked.get("SERVICE"), "WMS")
-        if wanted.lower() == "getcapabilities":  # of whatever version: the client has to take this one (6.2.4)
+        if wanted.lower() == "getcapabilities":  # any VERSION is accepted: the client has to take this one (6.2.4)
             return await _capabilities(request, service, level)
         if wanted.lower() != "getlegendgraphic" and (asked.get("VERSION") or WMS_VERSION) != WMS_VERSION:
             raise InputError("VERSION", asked.get("VERSION"), WMS_VERSION)
@@ -129,9 +131,9 @@ async def _answer(request: Request, service: Service, level: str | None) -> Resp
 
 async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
     levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
-    if level is not None and (off_earth := levels[0].world.off_earth) is not None:
-        raise UnsupportedError("level", level, f"{off_earth}: there is no map of it on earth")
-    on_earth = [each for each in levels if each.world.off_earth is None]
+    if level is not None and (off_earth_reason := levels[0].world.off_earth_reason) is not None:
+        raise UnsupportedError("level", level, f"{off_earth_reason}, so the level has no map on earth")
+    on_earth = [each for each in levels if each.world.off_earth_reason is None]
     base = base_url(request, service.settings.public_url)
     address = f"{base}/wms" if level is None else f"{base}{request.url.path}"
     body = await run_in_threadpool(
@@ -141,24 +143,24 @@ async def _capabilities(request: Request, service: Service, level: str | None) -
 
 
 async def _layer(service: Service, asked: KeyValues, key: str) -> tuple[ServedLevel, str]:
-    """The level and the layer of a request for one. Raises ``NotServedError`` or ``InputError``."""
-    name = asked.need(key, "one layer, as level:color")
+    """Return the level and the layer that a key names. Raises ``NotServedError`` or ``InputError``."""
+    name = asked.need(key, "Give one layer, such as LEVEL:color")
     if "," in name:
-        raise NotServedError(key, f"{key}: one layer to a map (the capabilities say so: LayerLimit is 1).")
+        raise NotServedError(key, f"{key}: several layers in one map. Use one layer: LayerLimit of the capabilities is 1.")
     level_name, layer = split_layer(key, name)
     if layer not in WMS_LAYERS:
-        raise NotServedError(key, f"{key}: {layer} is not served by WMS, but as tiles.")
+        raise NotServedError(key, f"{key}: layer {layer} is not served by WMS. Use tiles or WMTS.")
     level = await service.level(level_name)
-    if level.world.off_earth is not None:
-        raise UnsupportedError(key, name, f"{level.world.off_earth}: there is no map of it on earth")
+    if level.world.off_earth_reason is not None:
+        raise UnsupportedError(key, name, f"{level.world.off_earth_reason}, so the level has no map on earth")
     return level, layer
 
 
 def _extent(asked: KeyValues) -> tuple[str, CRS, MapBounds, tuple[int, int]]:
-    """The code of a request's CRS, the CRS, the extent in it, and (width, height) in pixels. Raises ``InputError``."""
-    code = crs_code(asked.need("CRS", "a CRS, as EPSG:3857"))
+    """Return a request's CRS code, CRS, bounds in that CRS, and (width, height) in pixels. Raises ``InputError``."""
+    code = crs_code(asked.need("CRS", "Give a CRS, such as EPSG:3857"))
     crs = crs_of_code(code)
-    bounds = parse_bounds(asked.need("BBOX", "four numbers"), "BBOX", north_first(crs))
+    bounds = parse_bounds(asked.need("BBOX", "Give four numbers"), "BBOX", north_first(crs))
     width, height = (check_side(name, asked.whole(name)) for name in ("WIDTH", "HEIGHT"))
     return code, crs, bounds, (width, height)
 
@@ -166,7 +168,7 @@ def _extent(asked: KeyValues) -> tuple[str, CRS, MapBounds, tuple[int, int]]:
 async def _map(request: Request, service: Service, asked: KeyValues) -> Response:
     level, layer = await _layer(service, asked, "LAYERS")
     code, _, bounds, size = await run_in_threadpool(_extent, asked)
-    format = format_named(asked.need("FORMAT", "a media type, as image/png"))
+    format = format_named(asked.need("FORMAT", "Give a media type, such as image/png"))
     if format not in PRODUCTS[layer].map_formats:
         raise InputError("FORMAT", MEDIA_TYPES[format], f"{map_formats_told(layer)} for layer {layer}")
     shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLES")
@@ -188,7 +190,7 @@ async def _feature_info(request: Request, service: Service, asked: KeyValues) ->
     col, row = (asked.whole(name) for name in ("I", "J"))
     for name, pixel, count in (("I", col, width), ("J", row, height)):
         if pixel >= count:
-            raise InputError(name, pixel, f"a pixel of the map, 0 to {count - 1}")
+            raise InputError(name, pixel, f"pixels of the map, 0 to {count - 1}")
     media_type = asked.get("INFO_FORMAT") or INFO_MEDIA[0]
     if media_type not in INFO_MEDIA:
         raise InputError("INFO_FORMAT", media_type, ", ".join(INFO_MEDIA))
@@ -198,7 +200,7 @@ async def _feature_info(request: Request, service: Service, asked: KeyValues) ->
     day = date_asked(asked.get("TIME"), default_date(level, this_year())) if is_of_days else None
     sun = None if is_of_days else sun_at_time(request, level, asked)
     if not (abs(lon) <= 540.0 and abs(lat) <= 90.0):
-        remark, is_json = "there is no place on earth there", media_type == "application/json"
+        remark, is_json = "this pixel shows no place on earth", media_type == "application/json"
         text = report_features(None, {"remark": remark}) if is_json else _in_words([("Remark", remark)], media_type)
         return Response(text, headers={"Cache-Control": "no-store"}, media_type=media_type)
     point, fresh_s = of_a_day(PointQuery(lon=lon, lat=lat, date=day), sun)
@@ -220,7 +222,7 @@ def _in_words(rows: Rows, media_type: str) -> str:
 async def _legend(request: Request, service: Service, asked: KeyValues) -> Response:
     level, layer = await _layer(service, asked, "LAYER")
     if asked.get("STYLE") not in (None, OWN_STYLE):
-        raise InputError("STYLE", asked.get("STYLE"), f"nothing, or {OWN_STYLE}")
+        raise InputError("STYLE", asked.get("STYLE"), f"{OWN_STYLE}, or no STYLE")
     media_type = asked.get("FORMAT") or LEGEND_MEDIA[0]
     if media_type not in LEGEND_MEDIA:
         raise InputError("FORMAT", media_type, ", ".join(LEGEND_MEDIA))

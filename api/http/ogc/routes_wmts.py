@@ -1,4 +1,7 @@
-"""The Web Map Tile Service, WMTS 1.0.0: its capabilities, and tiles by keys and values. By address they are those of the tiles."""
+"""Serve WMTS 1.0.0, the Web Map Tile Service: capabilities, and tiles by keys and values (KVP).
+
+RESTful addresses of tiles are those of the tile routes.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ CODES = {
     "VERSION": "VersionNegotiationFailed", "ACCEPTVERSIONS": "VersionNegotiationFailed",
     "X": "TileOutOfRange", "Y": "TileOutOfRange",
 }  # fmt: skip
-"""Exception codes of OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24, by the parameter to blame."""
+"""Exception codes by the wrong parameter: OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24."""
 
 
 DEFAULT_TIME = key_values(TIME=("The default of all layers; default: of each its level's.", "2024-10-21T16:30:00Z"))
@@ -40,7 +43,10 @@ DEFAULT_TIME = key_values(TIME=("The default of all layers; default: of each its
     openapi_extra=DEFAULT_TIME,
 )
 async def wmts_of_all(request: Request, service: TheService) -> Response:
-    """The capabilities of all levels that lie on earth: a layer for each level and layer, every tile matrix set, and the times."""
+    """Return the capabilities of all levels that lie on earth.
+
+    They list a WMTS layer for each level and layer, every tile matrix set, and the times.
+    """
     return await _capabilities(request, service, None)
 
 
@@ -51,7 +57,10 @@ async def wmts_of_all(request: Request, service: TheService) -> Response:
     openapi_extra=DEFAULT_TIME,
 )
 async def wmts_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
-    """The capabilities of one level. With `time` that is the default of all layers, for clients that cannot ask for another one."""
+    """Return the capabilities of one level.
+
+    A `time` becomes the default time of all layers, for clients that cannot ask for another one.
+    """
     return await _capabilities(request, service, level)
 
 
@@ -81,12 +90,14 @@ WMTS_KEYS = key_values(
     openapi_extra=WMTS_KEYS | for_example("REQUEST", "LAYER", "TILEMATRIXSET", "TILEMATRIX", "TILEROW", "TILECOL", "FORMAT"),
 )
 async def wmts_by_keys(request: Request, service: TheService) -> Response:
-    """`REQUEST=GetCapabilities`, or `GetTile` with `LAYER` (as level:layer), `STYLE`, `TILEMATRIXSET`, `TILEMATRIX`, `TILEROW`,
-    `TILECOL`, `FORMAT` and `TIME`; instead of the time `AZIMUTH` and `ALTITUDE`.
+    """Answer `REQUEST=GetCapabilities` or `GetTile`.
+
+    `GetTile` takes `LAYER` (as level:layer), `STYLE`, `TILEMATRIXSET`, `TILEMATRIX`, `TILEROW`, `TILECOL`, `FORMAT` and `TIME`.
+    `AZIMUTH` and `ALTITUDE` may replace the time.
     """
     try:
         asked = KeyValues(request)
-        wanted = asked.need("REQUEST", "GetCapabilities, GetTile")
+        wanted = asked.need("REQUEST", "Use one of GetCapabilities, GetTile")
         if (asked.get("SERVICE") or "WMTS").upper() != "WMTS":
             raise InputError("SERVICE", asked.get("SERVICE"), "WMTS")
         for name in ("VERSION", "ACCEPTVERSIONS"):
@@ -103,30 +114,30 @@ async def wmts_by_keys(request: Request, service: TheService) -> Response:
 
 
 async def _tile_by_keys(request: Request, service: Service, asked: KeyValues) -> Response:
-    level_name, layer = split_layer("LAYER", asked.need("LAYER", "a layer, as level:color"))
-    matrix_set = asked.need("TILEMATRIXSET", "a tile matrix set, as WebMercatorQuad")
+    level_name, layer = split_layer("LAYER", asked.need("LAYER", "Give a layer, such as LEVEL:color"))
+    matrix_set = asked.need("TILEMATRIXSET", "Give a tile matrix set, such as WebMercatorQuad")
     tiled = matrix_set_of(matrix_set)
     matrices = {matrix.id: zoom for zoom, matrix in enumerate(tiled.tileMatrices, tiled.minzoom)}
-    matrix = asked.need("TILEMATRIX", "a matrix of the set")
+    matrix = asked.need("TILEMATRIX", f"Give a matrix of the set {matrix_set}")
     if matrix not in matrices:
         raise InputError("TILEMATRIX", matrix, ", ".join(matrices))
     place = matrices[matrix], asked.whole("TILECOL"), asked.whole("TILEROW")
-    format = format_named(asked.need("FORMAT", "a media type, as image/png"))
+    format = format_named(asked.need("FORMAT", "Give a media type, such as image/png"))
     level = await service.level(level_name)
-    if level.world.off_earth is not None:
-        raise UnsupportedError("LAYER", f"{level_name}:{layer}", f"{level.world.off_earth}, so there are no tiles")
+    if level.world.off_earth_reason is not None:
+        raise UnsupportedError("LAYER", f"{level_name}:{layer}", f"{level.world.off_earth_reason}, so the level has no tiles")
     shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLE")
     return await tile_answer(request, service, level_name, matrix_set, place, 1, format, shown)
 
 
 async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
-    """The capabilities of a level, or of all; an error in the service's own XML."""
+    """Return the capabilities of a level (``None``: of all), or an error in the XML of WMTS."""
     try:
         levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
         on_earth = [each for each in levels if each.zooms]
         if level is not None and not on_earth:
-            why = levels[0].world.off_earth or "it lies outside of all maps"
-            raise UnsupportedError("level", level, f"{why}, so there are no tiles")
+            why = levels[0].world.off_earth_reason or "the level lies outside of all tile matrix sets"
+            raise UnsupportedError("level", level, f"{why}, so it has no tiles")
         base = base_url(request, service.settings.public_url)
         of_all = f"{base}/wmts/{WMTS_VERSION}/WMTSCapabilities.xml"
         address = of_all if level is None else f"{base}/levels/{quote(level)}/WMTSCapabilities.xml"

@@ -1,4 +1,4 @@
-"""The capabilities of the Web Map Service: what WMS 1.3.0 (OGC 06-042, 7.2.4) has clients be told, from what is served."""
+"""Write the capabilities document of WMS 1.3.0 (OGC 06-042, 7.2.4)."""
 
 from __future__ import annotations
 
@@ -23,21 +23,23 @@ from skugga.terrain.errors import InputError
 WMS_VERSION = "1.3.0"
 
 WMS_LAYERS = products_with(lambda each: each.encoding is None and "png" in each.map_formats)
-"""Layers of maps that are looked at. Heights in colours are for tiles; data of floating point map clients cannot show."""
+"""Layers for display. Heights encoded in colours are for tiles. Map clients cannot show floating point data."""
 
 MAP_MEDIA = ("image/png", "image/webp", "image/jpeg", "image/tiff")
 INFO_MEDIA = ("application/json", "text/html", "text/plain")
 LEGEND_MEDIA = tuple(LEGEND_MEDIA_TYPES.values())
 
 COMMON_CRS = ("EPSG:3857", "EPSG:4326", "CRS:84")
-"""What every level has maps in; any other that PROJ knows by its code is understood as well."""
+"""CRSs that the capabilities list for every level. A request may use any other CRS that PROJ knows by its code."""
 
 SCHEMA_WMS = "http://www.opengis.net/wms http://schemas.opengis.net/wms/1.3.0/capabilities_1_3_0.xsd"
 
 
 def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str, max_pixels: int, year: int) -> bytes:
-    """The document of levels that lie on earth, under a base URL; ``address`` is that of the service itself, ``year`` that of the
-    times of levels that have none.
+    """Return the capabilities document of levels that lie on earth.
+
+    ``base_url`` is the address of the whole service, ``address`` that of its WMS. Levels without a time of their own list the times
+    of ``year``. No side may exceed the square root of ``max_pixels``.
     """
     root = Element(
         "WMS_Capabilities",
@@ -50,11 +52,11 @@ def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str,
     for tag, text in (("Name", "WMS"), ("Title", "Skugga"), ("Abstract", "Terrain with the sun's true cast shadows.")):
         add(service, tag, text)
     _online(service, base_url)
-    side = math.isqrt(max_pixels)  # more to a side are drawn, if the other one is shorter
+    side = math.isqrt(max_pixels)  # a longer side is drawn, too, if the other one is shorter
     for tag, value in (("Fees", "none"), ("AccessConstraints", "none"), ("LayerLimit", 1), ("MaxWidth", side), ("MaxHeight", side)):
         add(service, tag, value)
     capability = add(root, "Capability")
-    # GetLegendGraphic is not told of: QGIS would ask it for every layer. A layer that has a legend says where.
+    # GetLegendGraphic is not listed: QGIS would ask for it for every layer. A layer with a legend has a LegendURL.
     request = add(capability, "Request")
     for name, media in (
         ("GetCapabilities", ("text/xml",)), ("GetMap", MAP_MEDIA), ("GetFeatureInfo", INFO_MEDIA),
@@ -74,7 +76,7 @@ def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str,
 
 
 def crs_of_maps(level: ServedLevel) -> dict[str, CRS]:
-    """The CRSs that a level's maps are told of, by their codes in WMS."""
+    """Return the CRSs that the capabilities list for a level, by their codes in WMS."""
     own = level.map_crs.to_authority()
     codes = [*COMMON_CRS, *([] if own is None else [":".join(own)])]
     return {code: crs_of_code({"CRS:84": "OGC:CRS84"}.get(code, code)) for code in dict.fromkeys(codes)}
@@ -132,5 +134,5 @@ def _online(parent: Element, address: str) -> None:
 
 
 def map_formats_told(layer: str) -> str:
-    """The media types of a layer's maps, in words."""
+    """Return the media types of a layer's maps, separated by commas."""
     return ", ".join(MEDIA_TYPES[format] for format in gis_formats(layer))

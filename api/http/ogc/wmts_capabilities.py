@@ -1,4 +1,4 @@
-"""The capabilities of the Web Map Tile Service: what WMTS 1.0.0 (OGC 07-057r7, 7.1.1.2) has clients be told of what is served."""
+"""Write the capabilities document of WMTS 1.0.0 (OGC 07-057r7, 7.1.1.2)."""
 
 from __future__ import annotations
 
@@ -23,14 +23,16 @@ WMTS_VERSION = "1.0.0"
 
 
 TIME = "Time"
-"""The dimension: the variable in the templates of addresses has its name."""
+"""Name of the time dimension, and of its variable in URL templates."""
 
 SCHEMA_WMTS = "http://www.opengis.net/wmts/1.0 http://schemas.opengis.net/wmts/1.0/wmtsGetCapabilities_response.xsd"
 
 
 def wmts_capabilities(levels: Sequence[ServedLevel], base_url: str, document_url: str, year: int, time: str | None = None) -> bytes:
-    """The document of levels that lie on earth, under a base URL; a ``year`` is that of the times of levels that have none. With a
-    ``time``, that is the default of all layers. Raises ``InputError``.
+    """Return the capabilities document of levels that lie on earth.
+
+    ``base_url`` is the address of the whole service, ``document_url`` that of the document. Levels without a time of their own list
+    the times of ``year``. A ``time`` becomes the default of all layers. Raises ``InputError``.
     """
     root = Element(
         "Capabilities",
@@ -103,7 +105,10 @@ def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, yea
 
 
 def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
-    """Where the legend of a layer is, at its default time: by WMS, since QGIS adds WMS's own keys to any address of a legend."""
+    """Return the address of a layer's legend at its default time.
+
+    It is a WMS address, because QGIS adds keys of WMS to every legend address.
+    """
     asked = {"SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png"}
     asked["LAYER"] = layer_name(level, layer)
     if PRODUCTS[layer].when != "none":
@@ -112,7 +117,7 @@ def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
 
 
 def layer_abstract(layer: str) -> str:
-    """What a layer is, in a sentence."""
+    """Return a description of a layer, as a sentence."""
     about = PRODUCTS[layer].about.replace("`", "")
     return f"{about[:1].upper()}{about[1:]}."
 
@@ -142,7 +147,10 @@ def _links(element: Element, level: ServedLevel) -> None:
 
 
 def _matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) -> None:
-    """A set down to the last zoom that is served: GDAL and QGIS take the finest one for the data's own, whatever the limits say."""
+    """Add a tile matrix set down to the last zoom that is served.
+
+    GDAL and QGIS take the finest matrix for the resolution of the data, whatever the limits say.
+    """
     element = add(contents, "TileMatrixSet")
     add(element, "ows:Identifier", matrix_set.id)
     add(element, "ows:SupportedCRS", crs_urn(crs_of_tiles(matrix_set)))
@@ -154,7 +162,7 @@ def _matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) ->
         one = add(element, "TileMatrix")
         add(one, "ows:Identifier", matrix.id)
         add(one, "ScaleDenominator", written((matrix.scaleDenominator,)))
-        add(one, "TopLeftCorner", written(matrix.pointOfOrigin))  # in the order of the CRS's own axes, as in its definition
+        add(one, "TopLeftCorner", written(matrix.pointOfOrigin))  # in the axis order of the CRS
         for tag, value in (
             ("TileWidth", matrix.tileWidth), ("TileHeight", matrix.tileHeight), ("MatrixWidth", matrix.matrixWidth),
             ("MatrixHeight", matrix.matrixHeight),
@@ -163,6 +171,6 @@ def _matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) ->
 
 
 def crs_urn(crs: CRS) -> str:
-    """A CRS as an URN (OGC 07-092r1)."""
+    """Return the URN of a CRS (OGC 07-092r1)."""
     authority, code = crs.to_authority() or ("EPSG", "0")
     return f"urn:ogc:def:crs:{authority}:{'1.3' if authority == 'OGC' else ''}:{code}"

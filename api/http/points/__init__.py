@@ -1,1 +1,1 @@
-"""The sun at points and along tracks."""
+"""HTTP routes for the sun at points and along tracks."""

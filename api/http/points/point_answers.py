@@ -1,4 +1,4 @@
-"""Answers on the sun at points: the day that is asked for, and what a render process says."""
+"""Resolve the date of point queries, and run point jobs on the worker pool."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from skugga.terrain.level.parts import SunSpec
 
 
 def of_a_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
-    """A question of one day, which is today's where nothing says which, and for how many seconds its answer is fresh."""
+    """Return a query with a definite day, and the seconds for which its answer stays fresh.
+
+    A query without a date and without a sun is about today.
+    """
     if sun is not None or point.date is not None:
         return point, GIVEN_SUN_S
     begin, left_s = quarter_hour()
@@ -21,7 +24,7 @@ def of_a_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
 
 
 async def run_point(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
-    """What a render process says of points. Raises ``SkuggaError``."""
+    """Run a point job and return its body. Raises ``SkuggaError``."""
     answer = await service.done(request, job)
     assert isinstance(answer, PointAnswer)
     return answer.body

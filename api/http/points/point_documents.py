@@ -1,4 +1,4 @@
-"""A point's report as text, a page and a feature: what map clients show where somebody clicked."""
+"""Write a point's report as text, HTML and GeoJSON, which map clients show for a clicked point."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Rows = list[tuple[str, str]]
 
 
 def report_rows(report: dict[str, Any]) -> Rows:
-    """The facts of a report (as ``skugga.api.point.report.PointReport`` is in JSON) in words, each with its name."""
+    """Return the facts of a report as (name, text) rows. ``report`` is a ``skugga.api.point.report.PointReport`` in JSON."""
     rows = [
         ("Level", str(report["level"])),
         ("Place", f"{report['lat']}, {report['lon']}"),
@@ -34,20 +34,22 @@ def report_rows(report: dict[str, Any]) -> Rows:
 
 
 def report_text(rows: Rows) -> str:
-    """Facts as lines of plain text."""
+    """Return rows as lines of plain text."""
     return "".join(f"{name}: {value}\n" for name, value in rows)
 
 
 def report_page(rows: Rows) -> str:
-    """Facts as a page with a table."""
+    """Return rows as an HTML page with a table."""
     table = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
     head = '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Skugga</title></head>'
     return f"{head}<body><table>{table}</table></body></html>\n"
 
 
 def report_features(place: tuple[float, float] | None, report: dict[str, Any]) -> str:
-    """A report as the one feature of a GeoJSON collection, at a place (longitude, latitude), if there is one. ``crs`` is for QGIS,
-    which takes the layer's without it.
+    """Return a report as a GeoJSON collection of one feature.
+
+    ``place`` is (longitude, latitude), or ``None`` for a feature without geometry. The member ``crs`` is for QGIS, which uses the
+    CRS of the layer without it.
     """
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
     geometry = None if place is None else {"type": "Point", "coordinates": place}

@@ -1,4 +1,4 @@
-"""The sun at points: reports, horizon files, charts; one point by its address, many by a body."""
+"""Serve the sun at points: reports, horizon files and charts of one point (GET), and reports of many points (POST)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from skugga.api.point.horizon_formats import HORIZON_FORMATS
 from skugga.api.point.values import MAX_POINTS, PointQuery, PointReport, ReportedMoment, TrackPoint
 from skugga.api.request import PictureRequest
 from skugga.api.workers.jobs import PointJob, PointProduct, PointsJob
-from skugga.shadows.point.terms import HIGHEST_EYE_M
+from skugga.shadows.point.terms import MAX_EYE_HEIGHT_M
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import as_utc, check_times
 from skugga.terrain.level.parts import SunSpec
@@ -29,7 +29,7 @@ from skugga.terrain.level.parts import SunSpec
 router = APIRouter(tags=["points"], responses=problem_docs(*WORK_ERRORS))
 
 POINTS_A_JOB = 200
-"""Points that a render process takes at a time: between them others have their turn."""
+"""Points in one job of a worker. Jobs of other requests run between two of them."""
 
 SKY_MEDIA = {"svg": "image/svg+xml", "png": "image/png", "json": "application/json"}
 
@@ -54,7 +54,7 @@ DateQuery = Annotated[
 HeightQuery = Annotated[
     float,
     PLAIN_DECIMAL,
-    Query(ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, description="Metres above the ground.", examples=[1.7]),
+    Query(ge=0.0, le=MAX_EYE_HEIGHT_M, allow_inf_nan=False, description="Metres above the ground.", examples=[1.7]),
 ]
 ClockQuery = Annotated[
     str | None,
@@ -70,18 +70,18 @@ YearQuery = Annotated[
 
 
 class PointOfMany(BaseModel):
-    """A point in degrees, metres above the ground, and a time of its own."""
+    """A point: longitude and latitude in degrees, height in metres above the ground, and optionally a time of its own."""
 
     model_config = ConfigDict(extra="forbid")
 
     lon: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False, strict=True)
     lat: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False, strict=True)
-    height: float = Field(default=0.0, ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, strict=True)
+    height: float = Field(default=0.0, ge=0.0, le=MAX_EYE_HEIGHT_M, allow_inf_nan=False, strict=True)
     time: Annotated[AwareDatetime | None, PLAIN_TIME] = None
 
 
 class PointsQuery(BaseModel):
-    """Many points, and the time and the day that those without a time are asked for."""
+    """Many points, with the time and the date of those points that have no time."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -92,11 +92,10 @@ class PointsQuery(BaseModel):
 
 
 MANY_POINTS: dict[str, Any] = {"points": [{"lon": 8.43, "lat": 47.5}], "date": "2024-03-21"}
-"""An example of what a client may send."""
 
 
 class ReportedPoint(BaseModel):
-    """What is said of a point of many; ``remark`` says why the rest is null."""
+    """The report of one of many points. ``remark`` is the reason for null values."""
 
     lon: float
     lat: float
@@ -109,7 +108,7 @@ class ReportedPoint(BaseModel):
 
 
 class PointsReport(BaseModel):
-    """The points in their order."""
+    """The reports of the points, in the order of the request."""
 
     points: list[ReportedPoint]
 
@@ -122,7 +121,7 @@ async def point_query(
     clock: ClockQuery = None,
     year: YearQuery = None,
 ) -> PointQuery:
-    """The dependency for a point."""
+    """Return the point of a query, as a dependency."""
     return PointQuery(lon=lon, lat=lat, height=height, date=date, clock=clock, year=year)
 
 
@@ -137,7 +136,11 @@ ThePoint = Annotated[PointQuery, Depends(point_query)]
     dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
 )
 async def sun_of_point(request: Request, service: TheService, level: LevelPath, point: ThePoint, time: TimeQuery = None) -> Any:
-    """Elevation; lit or not at a time, and by what not; the day's sun; and hours of each day of a year, if one is named."""
+    """Report the sun at a point.
+
+    The report has the elevation, whether the point is lit at the time, the occluder if it is not, and the sun of the day. With a
+    `year` it has the hours of sun of each day of that year.
+    """
     return await _answer(request, service, level, point, time, "report", "json", "application/json")
 
 
@@ -163,7 +166,10 @@ async def horizon_of_point(
         ),
     ] = None,
 ) -> Response:
-    """Horizon angles all round a point, by ground, buildings and trees, in a format of solar tools; default: the suffix's first."""
+    """Return the horizon angles of a point in all directions, from ground, buildings and trees.
+
+    `format` is a format of solar tools. The default is the first format of the suffix.
+    """
     fitting = [each for each in HORIZON_FORMATS.values() if each.suffix == suffix]
     chosen = next((each for each in fitting if format in (None, each.name)), None)
     if chosen is None:
@@ -186,10 +192,10 @@ async def sky_of_point(
     point: ThePoint,
     time: TimeQuery = None,
 ) -> Response:
-    """A chart of the sky: the horizon, and the sun's paths of the day, the solstices and the equinox with their hours.
+    """Draw a chart of the sky: the horizon, and the sun paths of the day, the solstices and the equinox, marked with hours.
 
-    As JSON its figures, for charts of one's own: `horizon`, degrees towards each `azimuth` of ground, buildings and leaves, and
-    `path`, the day's sun every five minutes with `azimuth`, `altitude`, and whether it shines on the point.
+    JSON has the figures of the chart. `horizon` has the horizon angles of ground, buildings and leaves in degrees towards each
+    `azimuth`. `path` has the sun of the day every five minutes: `azimuth`, `altitude`, and whether it shines on the point.
     """
     return await _answer(request, service, level, point, time, "sky", format, SKY_MEDIA[format])
 
@@ -207,7 +213,11 @@ async def sun_of_points(
     level: LevelPath,
     asked: Annotated[PointsQuery, Body(description=f"Up to {MAX_POINTS} points.", examples=[MANY_POINTS])],
 ) -> Any:
-    """Elevation, lit or not and by what not, and hours of direct sun of the day, at each point; off the data null, and why."""
+    """Report the sun at each of many points.
+
+    Each report has the elevation, whether the point is lit, the occluder if it is not, and the hours of direct sun of the day.
+    Values of points outside the data are null, and `remark` says why.
+    """
     served = await service.level(level)
     points = tuple(TrackPoint(each.lon, each.lat, each.height, each.time) for each in asked.points)
     query = PointQuery(lon=0.0, lat=0.0, date=asked.date, clock=asked.clock)

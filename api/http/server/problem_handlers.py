@@ -11,7 +11,7 @@ from starlette.routing import Match, Mount
 from skugga.api.http.answers import wants_page
 from skugga.api.http.problems import domain_problem, problem_of, problem_response
 from skugga.api.http.server.not_found import not_found_page
-from skugga.terrain.errors import MISSING_VALUE, Problem, InputError, SkuggaError, printable
+from skugga.terrain.errors import MISSING_VALUE, InputError, Problem, SkuggaError, printable
 from skugga.terrain.level.level_errors import UNKNOWN_KEY
 
 

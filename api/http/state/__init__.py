@@ -1,1 +1,1 @@
-"""What a running service holds: its levels and archives, tiles that were encoded, suns that clients asked for, its metrics."""
+"""State of a running service: levels, archives, encoded tiles, rate limits and metrics."""

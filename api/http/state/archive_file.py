@@ -1,7 +1,7 @@
-"""Reading a PMTiles archive: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md
+"""Read PMTiles archives: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md
 
-Directories are read into arrays, and checked as they are. The file is read at places (``pread``), not mapped: one that is cut short
-while it is served is an error then, and not the end of the process.
+Directories are decoded into arrays and validated. The file is read with ``pread``, not mapped into memory: a file that is
+truncated while it is served then causes an error and does not kill the process.
 """
 
 from __future__ import annotations
@@ -27,21 +27,34 @@ from skugga.terrain.cache import MIB, Cache, Missing
 from skugga.terrain.errors import Problem
 
 DIRECTORY_DEPTH = 3
-"""Directories under one another, the root among them: readers go no deeper."""
+"""Maximum number of nested directories, including the root."""
 
 MOST_UNPACKED = 64 * MIB
-"""Bytes of a directory or of the metadata; larger ones are taken for broken. A leaf of 4096 entries has some 40 KB."""
+"""Maximum bytes of a decompressed directory or metadata document. A leaf of 4096 entries has some 40 KB."""
 
 CHECKED_LEAVES = 64 * MIB
-"""Of leaf directories, packed: so many bytes are read when an archive is opened (a second or two), all further ones when they are
-needed."""
+"""Compressed bytes of leaf directories that are validated when an archive is opened (a second or two).
 
-WHOLE = "a whole PMTiles archive of version 3, of pictures"
+Further leaves are validated when they are first used."""
+
+WHOLE = "Give a whole PMTiles archive of version 3 with tiles as pictures"
 
 
 @dataclass(frozen=True, eq=False)
 class _Directory:
-    """Entries in arrays of uint64, each (n,): ids, ascending; runs, 0 for a leaf directory; lengths and offsets in bytes."""
+    """The decoded entries of a directory, as arrays of uint64 and shape (n,).
+
+    Attributes
+    ----------
+    ids
+        Tile ids, ascending.
+    runs
+        Number of consecutive tile ids with the same content; 0 for a leaf directory.
+    lengths
+        Lengths in bytes.
+    offsets
+        Offsets in bytes, in the section of tiles or of leaf directories.
+    """
 
     ids: NDArray[np.uint64]
     runs: NDArray[np.uint64]
@@ -50,7 +63,7 @@ class _Directory:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the arrays."""
+        """Total bytes of the arrays."""
         return 4 * self.ids.nbytes
 
 
@@ -58,15 +71,16 @@ _directories: Cache[_Directory] = Cache("skugga.api.http.archive_directories", "
 
 
 class ArchiveFile:
-    """A PMTiles archive that is open. To be used from any thread, but not from the event loop's: it reads files.
+    """An open PMTiles archive of pictures.
 
-    Raises ``ArchiveError``, which names the file, for what is no whole archive of pictures; so does every read.
+    All threads may use it except the thread of the event loop, since it reads files. The constructor and every read raise
+    ``ArchiveError``, which names the file, if the file is not a whole archive of pictures.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            (self.stamp,) = file_stamps([path])  # before it is read: what changes meanwhile is seen at the next look
+            (self.stamp,) = file_stamps([path])  # before reading: the next check then sees changes made meanwhile
             self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         except OSError as error:
             raise self._broken(error.strerror or str(error)) from None
@@ -81,12 +95,12 @@ class ArchiveFile:
 
     @property
     def zooms(self) -> range:
-        """The zooms that it has tiles of."""
+        """The zooms of the archive's tiles."""
         return range(self.header["min_zoom"], self.header["max_zoom"] + 1)
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east, north in degrees, as the header has them."""
+        """West, south, east and north of the header, in degrees."""
         header = self.header
         edges = (header["min_lon_e7"], header["min_lat_e7"], header["max_lon_e7"], header["max_lat_e7"])
         west, south, east, north = (edge / 1e7 for edge in edges)
@@ -94,12 +108,12 @@ class ArchiveFile:
 
     @property
     def of_skugga(self) -> dict[str, Any]:
-        """What the metadata say of the tiles if they were drawn by this package; empty where others made them."""
+        """This package's own part of the metadata; empty if another program made the archive."""
         said = self.metadata.get("skugga")
         return said if isinstance(said, dict) else {}
 
     def tile(self, zoom: int, x: int, y: int) -> bytes | None:
-        """A tile's bytes; ``None`` where the archive has none. Raises ``ArchiveError``."""
+        """Return a tile's bytes; ``None`` if the archive lacks the tile. Raises ``ArchiveError``."""
         if zoom not in self.zooms or not (0 <= x < 2**zoom and 0 <= y < 2**zoom):
             return None
         tile_id = zxy_to_tileid(zoom, x, y)
@@ -113,16 +127,16 @@ class ArchiveFile:
                 inside = tile_id < int(directory.ids[row]) + run
                 return self._read(self.header["tile_data_offset"] + offset, length) if inside else None
             directory = self._leaf(offset, length)
-        raise self._broken("leaf directories under leaf directories")
+        raise self._broken(f"directories nested more than {DIRECTORY_DEPTH} deep")
 
     def _first_tile(self) -> tuple[int, int, int]:
-        """Zoom, column and row of a tile that it has."""
+        """Return zoom, column and row of the archive's first tile."""
         directory = self._root
         for _ in range(DIRECTORY_DEPTH):
             if directory.runs[0]:
                 return tileid_to_zxy(int(directory.ids[0]))
             directory = self._leaf(int(directory.offsets[0]), int(directory.lengths[0]))
-        raise self._broken("leaf directories under leaf directories")
+        raise self._broken(f"directories nested more than {DIRECTORY_DEPTH} deep")
 
     def _header(self) -> HeaderDict:
         raw = os.pread(self._file, HEADER_BYTES, 0)
@@ -138,7 +152,7 @@ class ArchiveFile:
             raise self._broken(f"its header is wrong: {error}") from None
         if header["tile_type"] not in TILE_FORMATS:
             kind = "vector tiles" if header["tile_type"] in (TileType.MVT, TileType.MLT) else "tiles of an unknown kind"
-            raise self._broken(f"it has {kind}, and those are not served")
+            raise self._broken(f"it has {kind}, which are not served")
         for part in ("internal", "tile"):
             plain = Compression.UNKNOWN if part == "tile" else Compression.GZIP
             used = header["tile_compression"] if part == "tile" else header["internal_compression"]
@@ -153,7 +167,7 @@ class ArchiveFile:
         }
         part, end = max(ends.items(), key=lambda item: item[1])
         if end > size:
-            raise self._broken(f"cut short: its {part} end at byte {end}, and it has {size}")
+            raise self._broken(f"cut short: its {part} end at byte {end}, but the file has {size} bytes")
         if not header["min_zoom"] <= header["max_zoom"] <= 31:
             raise self._broken(f"its header is wrong: zooms from {header['min_zoom']} to {header['max_zoom']}")
         return header
@@ -163,9 +177,9 @@ class ArchiveFile:
         try:
             metadata = json.loads(raw) if raw else {}
         except ValueError:
-            raise self._broken("its metadata are no JSON") from None
+            raise self._broken("its metadata are not JSON") from None
         if not isinstance(metadata, dict):
-            raise self._broken("its metadata are no object of JSON")
+            raise self._broken("its metadata are not a JSON object")
         return metadata
 
     def _version(self) -> str:
@@ -183,11 +197,11 @@ class ArchiveFile:
         return root
 
     def _leaf(self, offset: int, length: int) -> _Directory:
-        """A leaf directory, from memory where it is kept."""
+        """Return a leaf directory from the cache or from the file."""
         found = _directories.get(self, offset)
         if isinstance(found, Missing):
             if offset + length > self.header["leaf_directory_length"]:
-                raise self._broken("broken directories: one reaches past the others")
+                raise self._broken("broken directories: a leaf reaches past the end of the leaf directories")
             found = self._directory(self.header["leaf_directory_offset"] + offset, length)
             _directories.put(self, offset, value=found)
         return found
@@ -196,13 +210,13 @@ class ArchiveFile:
         numbers = _varints(self._unpacked(offset, length, "directories"))
         count = int(numbers[0]) if numbers is not None and len(numbers) else 0
         if numbers is None or count == 0 or len(numbers) != 1 + 4 * count:
-            raise self._broken("broken directories: one is cut short or has no entry")
+            raise self._broken("broken directories: one is cut short or empty")
         deltas, runs, lengths, codes = numbers[1:].reshape(4, count)
         ids = np.cumsum(deltas, dtype=np.uint64)
-        # A code of 0 follows the entry before: what lies between such is summed from the last offset that is stated.
+        # A code of 0 means: directly after the previous entry. Such offsets are the last explicit offset plus the lengths since.
         stated = codes > 0
         if not stated[0]:
-            raise self._broken("broken directories: the first entry follows no other")
+            raise self._broken("broken directories: the first entry has no offset")
         before = np.concatenate([[0], np.cumsum(lengths[:-1], dtype=np.uint64)]).astype(np.uint64)
         last = np.maximum.accumulate(np.where(stated, np.arange(count), 0))
         offsets = codes[last] - np.uint64(1) + before - before[last]
@@ -227,16 +241,16 @@ class ArchiveFile:
         try:
             plain = unpacking.decompress(raw, MOST_UNPACKED)
         except zlib.error:
-            raise self._broken(f"broken {part}: no gzip") from None
+            raise self._broken(f"broken {part}: not gzip") from None
         if not unpacking.eof:
-            raise self._broken(f"broken {part}: gzip that does not end")
+            raise self._broken(f"broken {part}: gzip that is cut short or larger than {MOST_UNPACKED // MIB} MiB")
         return plain
 
     def _read(self, offset: int, length: int) -> bytes:
         try:
             raw = os.pread(self._file, length, offset)
         except (OSError, OverflowError) as error:
-            raise self._broken(f"it cannot be read: {error}") from None
+            raise self._broken(f"cannot be read: {error}") from None
         if len(raw) < length:
             raise self._broken("cut short since it was opened")
         return raw
@@ -246,20 +260,21 @@ class ArchiveFile:
 
 
 def changed(archive: ArchiveFile | None, path: Path) -> bool:
-    """Whether a file is another one than was opened, or ``None`` was. Reads what the file system says of it."""
+    """Return whether a file has changed since it was opened as ``archive``; true for ``None``. Reads the file's status."""
     now: Stamp = file_stamps([path])[0]
     return archive is None or archive.stamp != now
 
 
 def _leaves(directory: _Directory) -> Iterator[tuple[int, int]]:
-    """Length and offset of each leaf directory that a directory leads to."""
+    """Return length and offset of each leaf directory of a directory."""
     rows = np.flatnonzero(directory.runs == 0)
     return zip(directory.lengths[rows].tolist(), directory.offsets[rows].tolist(), strict=True)
 
 
 def _varints(raw: bytes) -> NDArray[np.uint64] | None:
-    """Numbers of 7 bits a byte, the lowest first, each byte but a number's last with its highest bit set; ``None`` for bytes that
-    end within a number, or numbers of more than ten bytes.
+    """Decode varints: 7 bits a byte, the lowest first; the highest bit is set in all bytes of a number except its last.
+
+    Returns ``None`` for bytes that end within a number, and for numbers of more than ten bytes.
     """
     data = np.frombuffer(raw, np.uint8)
     ends = np.flatnonzero(data < 128)

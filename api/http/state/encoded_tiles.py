@@ -1,4 +1,4 @@
-"""Tiles as they were sent: kept, and sent again before anything else is looked at."""
+"""Cache of encoded tiles by entity tag and by address. A cached tile is sent before the request is routed."""
 
 from __future__ import annotations
 
@@ -14,22 +14,32 @@ from skugga.api.http.moments import TIME_HEADER, is_of_now
 from skugga.terrain.cache import MIB, Cache, Missing
 
 DrawnBy = tuple[str | None, ...]
-"""What the tiles of a level hang on besides their addresses."""
+"""Versions of everything that the tiles of a level depend on besides their addresses."""
 
 OVERHEAD_BYTES = 1024
-"""What a kept tile, or its address, takes besides a body: headers, tags, and the cache's own."""
+"""Estimated bytes of a cache entry besides the body: headers, tags and the cache's own overhead."""
 
 
 @dataclass(frozen=True)
 class EncodedTile:
-    """A tile's bytes, and what its answer says: the entity tag, how long it is fresh, and how it was made."""
+    """An encoded tile with its response headers.
+
+    Attributes
+    ----------
+    body : bytes
+        The encoded tile.
+    headers : dict of str to str
+        Response headers: entity tag, freshness lifetime and timings.
+    media_type : str
+        Media type of the body.
+    """
 
     body: bytes
     headers: dict[str, str]
     media_type: str
 
     def answer(self, request: Request) -> Response:
-        """The answer to a request; 304 where the client has it."""
+        """Return the response to a request; 304 if the client's copy is current."""
         if is_fresh(request, self.headers["ETag"]):
             unchanged = {name: value for name, value in self.headers.items() if name in ("ETag", "Cache-Control", TIME_HEADER)}
             return Response(status_code=304, headers=unchanged)
@@ -38,7 +48,17 @@ class EncodedTile:
 
 @dataclass(frozen=True)
 class _Sent:
-    """What was sent for an address: the tag of a tile, of a version of a level, drawn so."""
+    """The tile that was sent for an address.
+
+    Attributes
+    ----------
+    tag : str
+        Entity tag of the tile.
+    level : str
+        Name of its level.
+    drawn : tuple of str or None
+        Versions that the tile depends on.
+    """
 
     tag: str
     level: str
@@ -46,11 +66,11 @@ class _Sent:
 
 
 Address = tuple[str, bytes]
-"""Path and query."""
+"""Path and query string of a request."""
 
 
 class EncodedTiles:
-    """Tiles by entity tag, within so many bytes. To be used from one event loop."""
+    """A cache of tiles by entity tag, with a limit in bytes. It is for one event loop and is not thread-safe."""
 
     def __init__(self, limit_bytes: int) -> None:
         self._kept: Cache[EncodedTile] = Cache(
@@ -61,11 +81,11 @@ class EncodedTiles:
 
     @property
     def kept_bytes(self) -> int:
-        """Bytes of all that is kept."""
+        """Bytes of the cached tiles."""
         return self._kept.nbytes
 
     def get(self, tag: str) -> EncodedTile | None:
-        """A tile that is kept; counted, found or not."""
+        """Return a cached tile or ``None``, and count the hit or miss."""
         tile = self._found(tag)
         self.hits, self.misses = self.hits + (tile is not None), self.misses + (tile is None)
         return tile
@@ -75,9 +95,9 @@ class EncodedTiles:
         return None if isinstance(tile, Missing) else tile
 
     def put(self, request: Request, tile: EncodedTile, level: str, drawn: DrawnBy) -> None:
-        """Keep a tile, and that a request was answered with it; ``drawn`` is what that hangs on.
+        """Cache a tile and the address of its request. ``drawn`` has the versions that the tile depends on.
 
-        An address that means now is not remembered: soon it means another tile.
+        The address of a request for ``current`` is not cached: soon it means another tile.
         """
         tag = tile.headers["ETag"]
         self._kept.put(tag, value=tile)
@@ -86,12 +106,12 @@ class EncodedTiles:
         self._sent.put(_address(request.scope), value=_Sent(tag, level, drawn))
 
     def sent_before(self, scope: Scope, drawn_by: Callable[[str], DrawnBy]) -> EncodedTile | None:
-        """Return the tile that an address was answered with, if what its level hangs on (``drawn_by``) is unchanged."""
+        """Return the cached tile of an address if the versions of its level (``drawn_by``) are unchanged, else ``None``."""
         sent = self._sent.get(_address(scope))
         if isinstance(sent, Missing) or sent.drawn != drawn_by(sent.level):
             return None
         tile = self._found(sent.tag)
-        self.hits += tile is not None  # where it is not found, it is looked for again
+        self.hits += tile is not None  # a miss is counted later, by ``get``
         return tile
 
 

@@ -1,4 +1,4 @@
-"""One way from a job to its answer: entity tag, 304, cache rules, and what drew it."""
+"""Run a job and build its response: entity tag, 304, cache rules and timings."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ async def job_answer(
     fresh_s: int,
     written: Callable[[bytes], bytes] = lambda body: body,
 ) -> Response:
-    """Do a job for a level's answer, or say that the client has it (304).
+    """Run a job of a level and return its response, or 304 if the client's copy is current.
 
     Parameters
     ----------
     subject
-        What is answered, as ``map``; a part of the entity tag.
+        The kind of answer, as ``map``. It is part of the entity tag.
     fresh_s
-        Seconds that the answer is fresh at most.
+        Maximum freshness lifetime of the answer in seconds.
     written
-        Turns the job's file into the answer's body.
+        Function that converts the job's file to the response body.
 
     Raises
     ------
     SkuggaError
-        The job fails, or is not let in.
+        The job fails or is rejected by admission control.
     """
     parts = job.level.version, level, subject, job.model_dump(exclude={"level"}, exclude_none=True), media_type
     is_picture = not isinstance(job, PointJob)

@@ -1,5 +1,7 @@
-"""Looking whether levels, or archives, have changed, without keeping anybody waiting: one look at each at a time, in a thread of
-its own, with a time limit; whoever asks meanwhile gets the level as it was."""
+"""Check levels and archives for changes without blocking requests.
+
+Each level has at most one check at a time, in its own thread and with a time limit. Requests that exceed the limit get the
+last version."""
 
 from __future__ import annotations
 
@@ -19,10 +21,10 @@ from skugga.terrain.errors import SkuggaError
 LookedAt = TypeVar("LookedAt")
 
 LOOK_AGAIN_S = 30.0
-"""After how long a look that has not come back is left to itself, and another one is begun."""
+"""Time after which a check that still runs is abandoned and another check starts."""
 
 MOST_LOST = 4
-"""Looks that have not come back, of one level, after which no more are begun: each keeps a thread."""
+"""Maximum number of abandoned checks of one level: each occupies a thread."""
 
 log = logging.getLogger("skugga")
 
@@ -36,9 +38,24 @@ class _Look(Generic[LookedAt]):
 
 @dataclass
 class LevelCheck(Generic[LookedAt]):
-    """A value that ``look()`` brings up to date or raises a ``SkuggaError`` for, and what came of it last.
+    """A value that a check of files keeps up to date.
 
-    What came is fresh for ``fresh_s`` seconds; a look is waited for ``wait_s`` seconds at most. ``what`` it is, is said in logs.
+    Attributes
+    ----------
+    name : str
+        Name of the level or archive, for logs.
+    value : LookedAt
+        The last value without an error.
+    look : callable
+        The check: returns the value as it is now, or raises ``SkuggaError``.
+    fresh_s : float
+        Seconds for which a result is used without another check.
+    wait_s : float
+        Maximum seconds that a request waits for a check.
+    what : str
+        Kind of the value, for logs.
+    error : SkuggaError or None
+        Error of the last check.
     """
 
     name: str
@@ -54,19 +71,19 @@ class LevelCheck(Generic[LookedAt]):
     _lost: list[_Look[LookedAt]] = field(default_factory=list)
 
     def known(self) -> LookedAt | None:
-        """The value, if it is known without a look, or if the look hangs; ``None`` where it is not, or is wrong."""
+        """Return the value if it is fresh or its check hangs; ``None`` if a check is due or the last one failed."""
         return self.value if self.error is None and (self._is_fresh() or self._hangs()) else None
 
     def expire(self) -> None:
-        """Look when it is next asked for."""
+        """Make the value stale: its next use runs a check."""
         self._looked_s = float("-inf")
 
     def now(self) -> LookedAt:
-        """The value as it is now, waited for. Raises what the look raises."""
+        """Run the check in this thread and return the value. Raises the check's error."""
         return self._note(self._outcome(self.look))
 
     async def current(self) -> LookedAt:
-        """The value as it is now, or as it was last if that takes too long. Raises what the look raises."""
+        """Return the value as it is now, or the last value if the check takes too long. Raises the check's error."""
         if not self._is_fresh():
             looking = self._look_now()
             if looking is not None:
@@ -81,10 +98,10 @@ class LevelCheck(Generic[LookedAt]):
             await asyncio.wait({asyncio.wrap_future(looking.future)}, timeout=left_s)
         if not looking.future.done() and not looking.told:
             looking.told = True
-            log.error("%s %s: its files have not been read within %g s; it is served as it was", self.what, self.name, self.wait_s)
+            log.error("%s %s: its files were not read within %g s. The last version is served.", self.what, self.name, self.wait_s)
 
     def _look_now(self) -> _Look[LookedAt] | None:
-        """The look that is under way, or one that is begun now; ``None`` where no thread can be started for one."""
+        """Return the running check or a new one; ``None`` if no thread can be started."""
         now_s = time.monotonic()
         looking = self._looking
         if looking is not None and not looking.future.done():
@@ -97,7 +114,7 @@ class LevelCheck(Generic[LookedAt]):
         def run() -> None:
             try:
                 outcome = self._outcome(self.look)
-                if self._looking is begun:  # another look has begun since, which knows better
+                if self._looking is begun:  # not superseded by a later check
                     self._note(outcome)
             except SkuggaError:
                 pass
@@ -118,21 +135,21 @@ class LevelCheck(Generic[LookedAt]):
         try:
             found = look()
         except Exception as error:
-            if (exhausted := exhausted_error(error)) is not None:  # that says nothing of the files
+            if (exhausted := exhausted_error(error)) is not None:  # a lack of resources, not a fault of the files
                 self._tell_exhausted(exhausted)
                 return exhausted if self.error is None else self.error
             if isinstance(error, SkuggaError):
                 return error
-            # A bug, or what a library raises: the level is wrong, the service goes on.
+            # A bug or an error of a library: the level is broken, and the service continues.
             log.exception("%s %s cannot be read", self.what, self.name)
-            return SkuggaError(f"{self.what} {self.name} cannot be read: {error!r}")
+            return SkuggaError(f"{self.what} {self.name}: cannot be read: {error!r}.")
         self._is_exhausted = False
         return found
 
     def _tell_exhausted(self, error: Exception) -> None:
         if not self._is_exhausted:
             self._is_exhausted = True
-            log.error("%s %s: its files cannot be looked at: %s; it is served as it was", self.what, self.name, error)
+            log.error("%s %s: its files cannot be checked: %s The last version is served.", self.what, self.name, error)
 
     def _note(self, outcome: LookedAt | SkuggaError) -> LookedAt:
         if isinstance(outcome, ExhaustedError):

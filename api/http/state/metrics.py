@@ -1,4 +1,4 @@
-"""What the service tells Prometheus: requests by route, the queue and the render processes, caches, and passes by algorithm."""
+"""Prometheus metrics: requests by route, queue and render processes, caches, and render passes by algorithm."""
 
 from __future__ import annotations
 
@@ -25,11 +25,13 @@ REQUEST_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.
 PASS_BUCKETS_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 MOST_PASSES = 200
-"""Pairs of algorithm and pass that are told by name: requests may mix algorithms in many ways. Others are ``other``."""
+"""Maximum number of label pairs of algorithm and pass, since requests can combine algorithms in many ways.
+
+Further pairs are counted as ``other``."""
 
 
 class ServiceMetrics:
-    """The metrics of an application, in a registry of their own. To be used from one event loop."""
+    """The metrics of an application, in their own registry. They are for one event loop."""
 
     def __init__(self, pool: Pool, tiles: EncodedTiles, animations: Animations) -> None:
         self.registry = CollectorRegistry()
@@ -38,7 +40,7 @@ class ServiceMetrics:
         self.request_seconds = Histogram(
             "skugga_request_seconds", "Time to the end of an answer.", ("route",), registry=self.registry, buckets=REQUEST_BUCKETS_S
         )
-        self.in_progress = Gauge("skugga_requests_in_progress", "Requests that are being answered.", registry=self.registry)
+        self.in_progress = Gauge("skugga_requests_in_progress", "Requests in progress.", registry=self.registry)
         self.pass_seconds = Histogram(
             "skugga_pass_seconds", "Time of a pass of a drawn block or snapshot.", ("algorithm", "stage"),
             registry=self.registry, buckets=PASS_BUCKETS_S,
@@ -52,7 +54,7 @@ class ServiceMetrics:
         pool.on_drawn = self.drawn
 
     def drawn(self, drawn: BlockTiles | Snapshot) -> None:
-        """Count what was drawn."""
+        """Record the passes of a rendered block or snapshot."""
         for name, ms in (*drawn.passes, ("encode", drawn.encode_ms)):
             pair = drawn.headline, name
             if pair not in self._passes_told and len(self._passes_told) >= MOST_PASSES:
@@ -63,17 +65,17 @@ class ServiceMetrics:
             self.clipped.inc()
 
     def text(self) -> bytes:
-        """All of it in Prometheus' text format."""
+        """Return all metrics in Prometheus' text format."""
         return generate_latest(self.registry)
 
     def names(self) -> set[str]:
-        """The names of all series, as queries have them."""
+        """Return the names of all time series, as used in queries."""
         found = {sample.name for family in self.registry.collect() for sample in family.samples}
         return found | {name for family in self.registry.collect() for name in _names_of(family)}
 
 
 class _Seen(Collector):
-    """What is looked up when it is asked for."""
+    """A collector of metrics that are read from the service at each scrape."""
 
     def __init__(self, pool: Pool, tiles: EncodedTiles, animations: Animations) -> None:
         self._pool, self._tiles, self._animations = pool, tiles, animations
@@ -81,8 +83,8 @@ class _Seen(Collector):
     def collect(self) -> Iterable[Metric]:
         pool, tally, tiles = self._pool, self._pool.tally, self._tiles
         yield GaugeMetricFamily("skugga_ready", "Whether a render process is ready.", float(pool.ready))
-        yield GaugeMetricFamily("skugga_jobs_waiting", "Jobs that wait for a render process.", pool.queued)
-        yield GaugeMetricFamily("skugga_jobs_running", "Jobs that render processes work on.", pool.running)
+        yield GaugeMetricFamily("skugga_jobs_waiting", "Jobs in the queue.", pool.queued)
+        yield GaugeMetricFamily("skugga_jobs_running", "Jobs in render processes.", pool.running)
         jobs = CounterMetricFamily("skugga_jobs", "Jobs by how they ended.", labels=("outcome",))
         for outcome in ("answered", "failed", "abandoned", "refused", "expired", "timed_out", "retried"):
             jobs.add_metric([outcome], getattr(tally, outcome))
@@ -95,12 +97,12 @@ class _Seen(Collector):
             memory.add_metric([f"render {number}"], resident_bytes(pid))
         yield memory
         yield GaugeMetricFamily("skugga_open_descriptors", "File descriptors of the service's process.", open_descriptors())
-        kept = GaugeMetricFamily("skugga_cache_bytes", "What is kept.", labels=("cache",))
+        kept = GaugeMetricFamily("skugga_cache_bytes", "Bytes of cached entries.", labels=("cache",))
         kept.add_metric(["tiles"], tiles.kept_bytes)
         kept.add_metric(["blocks"], pool.kept_bytes)
         kept.add_metric(["films"], self._animations.kept_bytes)
         yield kept
-        animations = GaugeMetricFamily("skugga_animations", "Animations that there are.", labels=("status",))
+        animations = GaugeMetricFamily("skugga_animations", "Animations by status.", labels=("status",))
         for status, count in self._animations.counts.items():
             animations.add_metric([status], count)
         yield animations
@@ -108,7 +110,7 @@ class _Seen(Collector):
         for status, count in self._animations.ended.items():
             ended.add_metric([status], count)
         yield ended
-        asked = CounterMetricFamily("skugga_cache_requests", "Tiles that were asked for.", labels=("cache", "result"))
+        asked = CounterMetricFamily("skugga_cache_requests", "Lookups of tiles in the cache.", labels=("cache", "result"))
         asked.add_metric(["tiles", "hit"], tiles.hits)
         asked.add_metric(["tiles", "miss"], tiles.misses)
         yield asked

@@ -1,4 +1,4 @@
-"""How many suns that are new to it one client may ask for: each of them has to be drawn."""
+"""Rate limit of new suns for each client. Every new sun needs rendering."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from skugga.api.errors import TooManySunsError
 from skugga.terrain.cache import MIB, Cache, Missing
 
 REMEMBERED = 256
-"""Suns that a client's are compared with: the tiles of one picture have one."""
+"""Number of recent suns of a client that are not counted again. All tiles of one picture have the same sun."""
 
 CLIENT_BYTES = 32 * 1024
-"""About what a client takes that asked for so many."""
+"""Estimated bytes of a client with ``REMEMBERED`` suns."""
 
 
 @dataclass
@@ -22,18 +22,18 @@ class _Client:
     left: float
     seen_s: float
     suns: dict[Hashable, None] = field(default_factory=dict)
-    """The one asked for last at the end."""
+    """The client's recent suns, the most recent last."""
 
 
 class NewSuns:
-    """A bucket of suns for each address, filled at a steady rate; ``a_minute`` is its size, too. 0: no limit."""
+    """A token bucket of suns for each client: ``a_minute`` is its rate and its size; 0 means no limit."""
 
     def __init__(self, a_minute: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._a_minute, self._clock = a_minute, clock
         self._clients: Cache[_Client] = Cache("skugga.api.http.state.new_suns", "process", 32 * MIB, lambda _: CLIENT_BYTES)
 
     def take(self, address: str, sun: Hashable) -> None:
-        """Count a sun that a client asks for, if it is new. Raises ``TooManySunsError``."""
+        """Take a token for a sun that is new to a client. Raises ``TooManySunsError`` if none is left."""
         if not self._a_minute:
             return
         key, now_s = network_of(address), self._clock()
@@ -48,7 +48,7 @@ class NewSuns:
             return
         if client.left < 1.0:
             wait_s = int((1.0 - client.left) * 60.0 / self._a_minute) + 1
-            raise TooManySunsError(f"At most {self._a_minute} new suns a minute for one client.", wait_s)
+            raise TooManySunsError(f"Too many new suns. The limit is {self._a_minute} a minute for one client.", wait_s)
         client.left -= 1.0
         client.suns[sun] = None
         while len(client.suns) > REMEMBERED:
@@ -56,7 +56,7 @@ class NewSuns:
 
 
 def network_of(address: str) -> str:
-    """What counts as one client: an address, of IPv6 its network of 64 bits, which one customer has."""
+    """Return the client of an address: the IPv4 address, or the /64 network of IPv6, which one customer has."""
     try:
         ip = ipaddress.ip_address(address)
     except ValueError:

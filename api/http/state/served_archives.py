@@ -1,4 +1,4 @@
-"""The archives of tiles of a service: those that are served by themselves, and those that answer for tiles of levels."""
+"""The tile archives of a service: archives with their own addresses, and archives that hold the tiles of levels."""
 
 from __future__ import annotations
 
@@ -16,17 +16,27 @@ from skugga.api.http.state.archive_file import ArchiveFile, changed
 from skugga.api.http.state.level_checks import LevelCheck
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.products import PRODUCTS
-from skugga.terrain.errors import InputError, SkuggaError, printable
+from skugga.terrain.errors import InputError, Problem, SkuggaError, printable
 
 log = logging.getLogger("skugga")
 
 TileKind = tuple[str, str, str, str]
-"""Layer, format, tile matrix set, and what is asked of the picture as a canonical query string."""
+"""Layer, format, tile matrix set, and the picture's canonical query string."""
 
 
 @dataclass(frozen=True, eq=False)
 class LevelArchives:
-    """The archives of a level that can be read, by path, and those that answer by the kind of tile: of one kind the first."""
+    """The readable archives of a level.
+
+    Attributes
+    ----------
+    files : dict of Path to ArchiveFile
+        The archives by path.
+    by_kind : dict of TileKind to ArchiveFile
+        The first archive of each kind of tile.
+    version : str
+        Versions of all archives, for entity tags.
+    """
 
     files: dict[Path, ArchiveFile]
     by_kind: dict[TileKind, ArchiveFile]
@@ -34,25 +44,25 @@ class LevelArchives:
 
     @classmethod
     def of(cls, files: dict[Path, ArchiveFile]) -> LevelArchives:
-        """Some archives, the first of one kind before others."""
+        """Return the archives of a level; the first archive of a kind of tile takes precedence."""
         by_kind: dict[TileKind, ArchiveFile] = {}
         for archive in files.values():
             said = archive.of_skugga
             layer, format, tms, query = (str(said.get(key, "")) for key in ("layer", "format", "tms", "query"))
             if layer in PRODUCTS and PRODUCTS[layer].when == "none":
-                query = ""  # heights hang on no light
+                query = ""  # heights do not depend on light
             if format == archive.format:
                 by_kind.setdefault((layer, format, tms, in_utc(query)), archive)
         return cls(files, by_kind, " ".join(archive.version for archive in files.values()))
 
     def answering(self, layer: str, format: str, tms: str, query: str, zoom: int) -> ArchiveFile | None:
-        """The archive of such tiles, if it has them of that zoom; ``query`` as ``PictureRequest.query`` says it."""
+        """Return the archive with a kind of tile at a zoom, or ``None``. ``query`` is that of ``PictureRequest.query``."""
         archive = self.by_kind.get((layer, format, tms, in_utc(query))) if self.by_kind else None
         return archive if archive is not None and zoom in archive.zooms else None
 
 
 def in_utc(query: str) -> str:
-    """A canonical query with its ``time`` in UTC, if it has one: an instant has a spelling for each offset."""
+    """Return a canonical query with its ``time`` in UTC: each UTC offset spells the same instant differently."""
     if "time=" not in query:
         return query
     pairs = parse_qsl(query)
@@ -60,7 +70,7 @@ def in_utc(query: str) -> str:
         return urlencode(
             {key: datetime.fromisoformat(value).astimezone(UTC).isoformat() if key == "time" else value for key, value in pairs}
         )
-    except (ValueError, OverflowError):  # no instant: of an archive that says nothing that could be asked for
+    except (ValueError, OverflowError):  # the archive's time is invalid, so no request matches it
         return query
 
 
@@ -68,10 +78,11 @@ NO_ARCHIVES = LevelArchives.of({})
 
 
 class ServedArchives:
-    """Archives by name, and those that levels name. One that changes on disk is opened anew when it is next asked for.
+    """The archives with their own addresses, by name, and the archives of levels.
 
-    Opens the named ones: to be made in a thread other than the event loop's. Raises ``ArchiveError`` for one that cannot be served,
-    and ``InputError`` for two of one name.
+    An archive that changes on disk is reopened at its next use. The constructor opens the archives of ``paths``, so it must not
+    run in the thread of the event loop. It raises ``ArchiveError`` for an unusable archive, and ``InputError`` for two archives
+    of one name.
     """
 
     def __init__(self, paths: Sequence[Path], fresh_s: float = 0.0, wait_s: float = 60.0) -> None:
@@ -82,42 +93,42 @@ class ServedArchives:
         for path in paths:
             name = printable(path.stem)
             if name in self._named:
-                raise InputError("LEVEL", str(path), f"files of different names: an archive '{name}' is served already")
+                raise InputError("LEVEL", Problem(f"'{path}' and another file are both an archive '{name}'"), "Rename one of them")
             archive = ArchiveFile(path)
             self._named[name] = LevelCheck(name, archive, partial(self._look, name), fresh_s, wait_s, "archive")
 
     def names(self) -> list[str]:
-        """The names of those that are served by themselves."""
+        """Return the names of the archives with their own addresses."""
         return list(self._named)
 
     def known(self) -> dict[str, ArchiveFile]:
-        """Those that are served by themselves as they were last read: no file is looked at."""
+        """Return the archives with their own addresses as last read. Reads no file."""
         return {name: check.value for name, check in self._named.items()}
 
     async def current(self, name: str) -> ArchiveFile:
-        """An archive that is served by itself as it is now; no file is looked at in the event loop.
+        """Return an archive with its own address as it is now. Files are read in another thread.
 
-        Raises ``NotServedError``, and ``ArchiveError`` where it was broken since.
+        Raises ``NotServedError`` for an unknown name, and ``ArchiveError`` for an archive that has broken since.
         """
         if name not in self._named:
-            raise NotServedError("archive", f"Unknown archive {name[:60]!r}; served: {', '.join(self._named) or 'none'}.")
+            raise NotServedError("archive", f"archive: {name[:60]!r} is not served. Archives: {', '.join(self._named) or 'none'}.")
         return await self._named[name].current()
 
     async def of_level(self, level: ServedLevel) -> LevelArchives:
-        """The archives of a level as they are now. One that cannot be read is told of in the log, and left out."""
+        """Return the archives of a level as they are now. Unreadable archives are logged and left out."""
         return await self._check_of(level).current() if level.loaded.archives else NO_ARCHIVES
 
     def unchanged_of(self, level: ServedLevel) -> LevelArchives | None:
-        """The archives of a level, if it is known that they have not changed lately; no file is looked at."""
+        """Return the archives of a level if their last check is fresh, else ``None``. Reads no file."""
         return self._check_of(level).known() if level.loaded.archives else NO_ARCHIVES
 
     def check_level(self, level: ServedLevel) -> None:
-        """Open a level's archives. Raises ``ArchiveError`` for one that cannot be read."""
+        """Open a level's archives. Raises ``ArchiveError`` for an unreadable one."""
         if level.loaded.archives:
             self._check_of(level).value = LevelArchives.of({path: ArchiveFile(path) for path in level.loaded.archives})
 
     def look_again(self) -> None:
-        """Look at every file when it is next asked for."""
+        """Check every archive at its next use."""
         for named in self._named.values():
             named.expire()
         for _, of_level in self._of_levels.values():
@@ -147,7 +158,7 @@ class ServedArchives:
             try:
                 files[path] = self._as_it_is(before.get(path), path)
             except ArchiveError as error:
-                self._tell(path, error, "; its tiles are rendered")
+                self._tell(path, error, " Its tiles are rendered.")
         return check.value if files == before else LevelArchives.of(files)
 
     def _as_it_is(self, archive: ArchiveFile | None, path: Path) -> ArchiveFile:
@@ -155,19 +166,19 @@ class ServedArchives:
             return archive
         opened = ArchiveFile(path)
         if archive is not None or path in self._told:
-            log.info("archive %s has changed and was opened anew", path)
+            log.info("archive %s has changed and was reopened", path)
         self._told.pop(path, None)
         return opened
 
     def _tell(self, path: Path, error: SkuggaError, then: str = "") -> None:
-        """Log what is wrong with a file, once."""
+        """Log the error of a file once."""
         if self._told.get(path) != str(error):
             self._told[path] = str(error)
             log.error("archive %s%s", error, then)
 
 
 def archive_facts(name: str, archive: ArchiveFile) -> dict[str, Any]:
-    """What is said of an archive: by its metadata where they say it."""
+    """Return the facts of an archive for ``/archives``, from its metadata where present."""
     said = archive.metadata
     return {
         "name": name,

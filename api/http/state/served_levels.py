@@ -1,4 +1,4 @@
-"""The levels of a service: what is known of each without drawing it, and whether its files have changed."""
+"""The levels of a service: their facts without rendering, and checks of their files for changes."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from skugga.api.http.state.level_checks import LevelCheck
 from skugga.api.matrices import LonLatBounds, ZoomRange, detail_m, matrix_set_of, served_matrix_sets, zoom_range
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS, VIEW_PRODUCTS
 from skugga.api.workers.jobs import LevelKey
-from skugga.terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError, printable
+from skugga.terrain.errors import InputError, LevelError, Problem, SkuggaError, UnsupportedError, printable
 from skugga.terrain.geo.clock import time_zone_at
 from skugga.terrain.geo.sun import Sun, sun_of
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from skugga.terrain.level.algorithm_names import served_algorithms
 from skugga.terrain.level.data_roots import DataRoots
-from skugga.terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
+from skugga.terrain.level.level import SUN, LoadedLevel, expand_override, load_level, override_lights
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.linked_files import is_remote
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.level.rasters import LEVEL_SUFFIXES
-from skugga.terrain.scene import Scene, build_scene, with_own_sun
+from skugga.terrain.scene import Scene, build_scene, with_default_sun
 from skugga.terrain.style import STYLES
 
 DEFAULT_MATRIX_SET = "WebMercatorQuad"
@@ -40,14 +40,40 @@ log = logging.getLogger("skugga")
 
 @dataclass(frozen=True)
 class ServedLevel:
-    """A level as the service knows it. ``version`` changes with the level's text and the files it names.
+    """The facts of a level that the service uses without rendering.
 
-    ``bounds`` is what is looked at, ``data_bounds`` all of the raster: west, south, east, north in degrees, ``None`` in
-    a flat world. ``zooms`` are by tile matrix set, ``view_sizes`` (width, height) in pixels by view (``map`` is among them
-    whether the level names it or not), ``None`` for a view that cannot be drawn. ``map_crs`` is that of maps that name none,
-    ``lowest_m`` the height of its lowest ground, ``style`` the name of its own style. ``sun_is_default`` says whether the
-    level names no sun, so that a low one of its place was chosen. ``warnings`` are sentences on what may be
-    wrong with it. ``files`` are those that it hangs on, its own first, each with its stamp when it was read.
+    Attributes
+    ----------
+    loaded : LoadedLevel
+        The parsed level file.
+    origin : LevelSource
+        The files and options from which the level was loaded.
+    version : str
+        Changes with the level's text and with the files that it names.
+    world : World
+        The world's geometry.
+    bounds : tuple of float or None
+        Displayed extent: west, south, east, north in degrees; ``None`` in a flat world.
+    data_bounds : tuple of float or None
+        Extent of the raster: west, south, east, north in degrees; ``None`` in a flat world.
+    zooms : dict of str to ZoomRange
+        Zooms by tile matrix set.
+    view_sizes : dict of str to tuple
+        (width, height) in pixels by view; ``None`` for a view that cannot be rendered. ``map`` is always included.
+    map_crs : CRS
+        Default CRS of maps.
+    lowest_m : float
+        Lowest height of the ground in metres.
+    style : str
+        Name of the level's own style.
+    sun_is_default : bool
+        Whether the level names no sun, and has the default low sun of its place.
+    warnings : tuple of str
+        Sentences about possible faults of the level.
+    files : tuple of Path
+        The files that the level depends on, the level file first.
+    stamps : tuple of Stamp
+        Stamp of each file at the time of reading.
     """
 
     loaded: LoadedLevel
@@ -73,31 +99,34 @@ class ServedLevel:
 
     @cached_property
     def key(self) -> LevelKey:
-        """What render processes are told."""
+        """The level's key in jobs of render processes."""
         return LevelKey(**{**self.origin.model_dump(), "path": self.loaded.path, "version": self.version})
 
     @cached_property
     def time_zone(self) -> str | None:
-        """The time zone of the middle of what is looked at, as Europe/Oslo; ``None`` in a flat world."""
+        """The time zone of the centre of ``bounds``, as Europe/Oslo; ``None`` in a flat world."""
         if self.bounds is None:
             return None
         west, south, east, north = self.bounds
         return time_zone_at((west + east) / 2, (south + north) / 2)
 
     def zooms_in(self, matrix_set: str) -> ZoomRange:
-        """The zooms of a tile matrix set.
+        """Return the zooms of a tile matrix set.
 
-        Raises ``NotServedError`` for an unknown one or one elsewhere on earth, ``UnsupportedError`` off the earth.
+        Raises ``NotServedError`` for a set that is unknown or does not cover the level, ``UnsupportedError`` off the earth.
         """
         matrix_set_of(matrix_set)
-        if self.world.off_earth is not None:
-            raise UnsupportedError("level", self.name, f"{self.world.off_earth}, so there are no tiles")
+        if self.world.off_earth_reason is not None:
+            raise UnsupportedError("level", self.name, f"{self.world.off_earth_reason}, so there are no tiles")
         if matrix_set not in self.zooms:
-            raise NotServedError("tms", f"{self.name} lies outside of {matrix_set}; it has {', '.join(self.zooms)}.")
+            raise NotServedError("tms", f"tms: {self.name} lies outside of {matrix_set}. Use one of {', '.join(self.zooms)}.")
         return self.zooms[matrix_set]
 
     def view_named(self, name: str | None) -> str:
-        """A view's name; where none is given ``map``, if the level lists it, else its first view. Raises ``InputError``."""
+        """Return a checked view name; the default is ``map`` if the level lists it, else its first view.
+
+        Raises ``InputError`` for an unknown view.
+        """
         views = self.loaded.level.views
         if name is None:
             return "map" if "map" in views else next(iter(views), "map")
@@ -106,20 +135,21 @@ class ServedLevel:
         return name
 
     def lights(self, spec: SunSpec | None) -> tuple[str, ...]:
-        """The lights of a picture under a request's sun (``None``: the level's own): the sun first, unless there are only
-        others."""
+        """Return the names of the lights under a request's sun (``None``: the level's own).
+
+        The sun comes first. It is left out if it does not shine and the level has other lights."""
         every = self.loaded.level.light_names
         sunless = spec is None and self.loaded.level.sun == "none"
         return every[1:] if sunless and len(every) > 1 else every
 
     def sun(self, spec: SunSpec | None) -> Sun | None:
-        """The sun of a request, or the level's own; ``None`` where it has none. Raises ``InputError``."""
+        """Return the sun of a request or the level's own; ``None`` if the level has no sun. Raises ``InputError``."""
         level_sun = self.loaded.level.sun
         chosen = spec or level_sun
         return None if chosen is None or chosen == "none" else sun_of(chosen, self.world)
 
     def summary(self) -> dict[str, Any]:
-        """What ``/levels`` says of it; ``minzoom`` and ``maxzoom`` are those of Web Mercator tiles."""
+        """Return the level's entry in ``/levels``; ``minzoom`` and ``maxzoom`` are those of Web Mercator tiles."""
         level, zooms = self.loaded.level, self.zooms.get(DEFAULT_MATRIX_SET)
         sun = None if level.sun is None or level.sun == "none" else level.sun.model_dump(mode="json", exclude_none=True)
         kinds = {**({} if sun is None else {SUN: SUN}), **{name: light.kind for name, light in level.lights.items()}}
@@ -157,12 +187,18 @@ class ServedLevel:
 
 
 class ServedLevels:
-    """The levels by name: of ``sources``, and of all level files of a ``folder``. A level whose file or raster changes on disk is
-    read anew when it is next asked for; ``read_folder`` finds which files the folder has.
+    """The levels of ``sources`` and of all level files of a ``folder``, by name.
 
-    What a level is read from lies in the folder, in that of a source, or in one of ``data_roots``. Reads files: to be used from
-    threads other than the event loop's. Raises ``LevelError``, ``SourceError`` or ``InputError`` for a source that cannot be
-    served, naming it, and ``InputError`` for a folder that cannot be read and for two levels of one name.
+    A level whose files change on disk is reloaded at its next use. ``read_folder`` adds and removes levels of the folder. The data
+    of a level must lie in the folder, in the folder of its source, or in one of ``data_roots``. Methods that read files must not
+    run in the thread of the event loop.
+
+    Raises
+    ------
+    LevelError, SourceError
+        A source cannot be served. The message names it.
+    InputError
+        A source cannot be served, the folder cannot be read, or two levels have one name.
     """
 
     def __init__(
@@ -181,16 +217,16 @@ class ServedLevels:
         for source in map(LevelSource.of, sources):
             check = self._checked(source, [file.parent for file in _named_files(source)])
             if check.name in self._checks:
-                allowed = f"files of different names, or NAME=FILE: a level '{check.name}' is served already"
-                raise InputError("LEVEL", str(source.path), allowed)
+                fault = Problem(f"'{source.path}' and another file are both a level '{check.name}'")
+                raise InputError("LEVEL", fault, "Rename one of them, or give NAME=FILE")
             self._checks[check.name] = check
         self._named = dict(self._checks)
         self.read_folder()
 
     def read_folder(self) -> None:
-        """Serve the level files that the folder has now. One that is new and cannot be served is told of in the log, and left out.
+        """Update the levels to the folder's present level files. A new file that cannot be served is logged and left out.
 
-        Raises ``InputError`` for a folder that cannot be read and for two levels of one name; then the levels stay as they are.
+        Raises ``InputError`` for a folder that cannot be read and for two levels of one name. The levels are then unchanged.
         """
         if self._folder is None:
             return
@@ -204,23 +240,23 @@ class ServedLevels:
                     except SkuggaError as error:
                         log.error("level file %s is left out: %s", path, error)
                         continue
-                    except Exception as error:  # a bug, or what a library raises: the others are served all the same
+                    except Exception as error:  # a bug or an error of a library: other levels are still served
                         log.exception("level file %s is left out: %r", path, error)
                         continue
                 checks[name] = check
-            self._checks = checks  # whole: others go through it meanwhile
+            self._checks = checks  # replaced as a whole: other threads may iterate over the old one
         new, gone = ([name for name in one if name not in other] for one, other in ((checks, before), (before, checks)))
         log.info("levels of %s: new: %s; gone: %s", self._folder, ", ".join(new) or "none", ", ".join(gone) or "none")
 
     def read_folder_again(self) -> None:
-        """``read_folder`` for a service that runs: what is wrong is told of in the log."""
+        """Run ``read_folder`` in a running service and log its errors."""
         try:
             self.read_folder()
         except InputError as error:
-            log.error("the levels stay as they are: %s", error)
+            log.error("%s The levels are unchanged.", error)
 
     def serves(self, path: Path) -> bool:
-        """Whether a file is a level that is served; no file is looked at."""
+        """Return whether a file is a served level. Reads no file."""
         return any(check.value.loaded.path == path for check in self._checks.values())
 
     def _checked(self, source: LevelSource, roots: Iterable[Path]) -> LevelCheck[ServedLevel]:
@@ -228,40 +264,40 @@ class ServedLevels:
         return LevelCheck(level.name, level, partial(self._look, level.name), self._fresh_s, self._wait_s)
 
     async def current(self, name: str) -> ServedLevel:
-        """A level as it is now, or as it was last if reading it takes too long; no file is looked at in the event loop.
+        """Return a level as it is now, or its last version if reading takes too long. Files are read in another thread.
 
-        Raises ``NotServedError``, or what reading raises if it was broken since.
+        Raises ``NotServedError`` for an unknown name, and the error of reading for a level that has broken since.
         """
         return await self._check(name).current()
 
     def get(self, name: str) -> ServedLevel:
-        """A level as it is now, however long that takes. Raises as ``current`` does."""
+        """Return a level as it is now, without a time limit. Raises the errors of ``current``."""
         return self._check(name).now()
 
     def unchanged(self, name: str) -> ServedLevel | None:
-        """A level of which it is known that its files have not changed lately; no file is looked at."""
+        """Return a level if its last check is fresh, else ``None``. Reads no file."""
         check = self._checks.get(name)
         return None if check is None else check.known()
 
     def known(self) -> list[ServedLevel]:
-        """All levels as they were last read: no file is looked at."""
+        """Return all levels as last read. Reads no file."""
         return [check.value for check in self._checks.values()]
 
     def known_named(self) -> list[ServedLevel]:
-        """The levels of the sources, without those of the folder, as they were last read."""
+        """Return the levels of the sources, without those of the folder, as last read."""
         return [check.value for check in self._named.values()]
 
     def names(self) -> list[str]:
-        """The levels' names."""
+        """Return the levels' names."""
         return list(self._checks)
 
     def look_again(self) -> None:
-        """Look at the files of every level when it is next asked for."""
+        """Check the files of every level at its next use."""
         for check in self._checks.values():
             check.expire()
 
     def all(self) -> list[ServedLevel]:
-        """All levels as they are now; one that was broken since is left out."""
+        """Return all levels as they are now, without levels that have broken since."""
         levels = []
         for name, check in self._checks.items():
             try:
@@ -273,35 +309,35 @@ class ServedLevels:
     def _check(self, name: str) -> LevelCheck[ServedLevel]:
         checks = self._checks
         if name not in checks:
-            raise NotServedError("level", f"Unknown level {name[:60]!r}; served: {', '.join(checks)}.")
+            raise NotServedError("level", f"level: {name[:60]!r} is not served. Levels: {', '.join(checks)}.")
         return checks[name]
 
     def _look(self, name: str) -> ServedLevel:
-        """A level, read anew if a file of its has changed, or if it could not be read last time."""
+        """Return a level; reload it if one of its files has changed or if the last check failed."""
         check = self._check(name)
         level = check.value
         if check.error is None and file_stamps(level.files) == level.stamps:
             return level
         read = self._read(level.origin)
-        log.info("level %s has changed and was read anew", name)
+        log.info("level %s has changed and was reloaded", name)
         return read
 
     def _read(self, origin: LevelSource) -> ServedLevel:
         loaded, path = load_level(origin), origin.path
         remote = [source for source in loaded.linked_sources if is_remote(source)]
         if remote and not self._remote_sources:
-            raise LevelError(str(path), remote[0], "local files; SKUGGA_REMOTE_SOURCES=true allows remote ones")
+            raise LevelError(str(path), remote[0], "local files (SKUGGA_REMOTE_SOURCES=true allows remote ones)")
         if origin.roots is not None:
-            DataRoots(origin.roots).check_opened(loaded)
+            DataRoots(origin.roots).check_opened_files(loaded)
         for key, settings in loaded.level.shadows.all_settings.items():
             if not names_in(settings.algorithm) <= set(served_algorithms()):
-                allowed = f"in a level that is served: {', '.join(['auto', *served_algorithms()])}"
+                allowed = f"{', '.join(['auto', *served_algorithms()])} in a served level"
                 raise LevelError(f"{path}: {key}.algorithm", settings.algorithm, allowed)
             if settings.fit == "tight":
-                allowed = "auto or stable in a served level: tiles with a tight fit do not join"
+                allowed = "auto or stable in a served level, since tiles with a tight fit do not match at their edges"
                 raise LevelError(f"{path}: {key}.fit", "tight", allowed)
         files = watched_files(loaded)
-        stamps = file_stamps(files)  # before they are read: what changes meanwhile is seen at the next look
+        stamps = file_stamps(files)  # before reading: the next check then sees changes made meanwhile
         scene = build_scene(loaded.without_sun)
         try:
             return _served(loaded, origin, scene, files, stamps)
@@ -310,40 +346,45 @@ class ServedLevels:
 
 
 def _named_files(source: LevelSource) -> list[Path]:
-    """The files that a source names, and those that they lead to if they are links."""
+    """Return the files of a source, and the targets of those that are links."""
     named = [file for file in (source.path, source.canopy, source.buildings) if file is not None]
     return [*named, *map(Path, map(os.path.realpath, named))]
 
 
 def _level_files(folder: Path, taken: Collection[str]) -> dict[str, Path]:
-    """The level files of a folder by name, none of which is taken. Raises ``InputError``. Editors' hidden files are none."""
+    """Return the level files of a folder by name, without hidden files.
+
+    Raises ``InputError`` for a folder that cannot be read, and for a name that is ``taken`` or appears twice.
+    """
     try:
         files = sorted(
             path for path in folder.iterdir() if path.suffix.lower() in LEVEL_SUFFIXES and path.name[0] != "." and not path.is_dir()
         )
     except OSError as error:
-        raise InputError("SKUGGA_LEVELS", str(folder), f"a folder that can be read ({error.strerror})") from None
+        raise InputError(
+            "SKUGGA_LEVELS", Problem(f"'{folder}' cannot be read ({error.strerror})"), "Give a folder of level files"
+        ) from None
     found: dict[str, Path] = {}
     for path in files:
         name = printable(path.stem)
         if name in found or name in taken:
-            raise InputError("SKUGGA_LEVELS", str(path), f"files of different names: another one is a level '{name}', too")
+            raise InputError("SKUGGA_LEVELS", Problem(f"'{path}' and another file are both a level '{name}'"), "Rename one of them")
         found[name] = path
     return found
 
 
 def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
-    """The algorithms that an override names, whichever way it is spelt."""
+    """Return the names of the algorithms in an override, in each of its spellings."""
     if algorithm is None:
         return set()
-    return {name for kinds in expand_override(algorithm, lights_named(algorithm)).values() for name in kinds.values()}
+    return {name for kinds in expand_override(algorithm, override_lights(algorithm)).values() for name in kinds.values()}
 
 
 def _served(
     loaded: LoadedLevel, origin: LevelSource, scene: Scene, files: tuple[Path, ...], stamps: tuple[Stamp, ...]
 ) -> ServedLevel:
     world, data_bounds, zooms = scene.world, None, {}
-    bounds = scene.bounds_lon_lat if world.off_earth is None else None
+    bounds = scene.bounds_lon_lat if world.off_earth_reason is None else None
     if bounds is not None:
         west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
             *scene.elevation.bounds, densify_pts=21
@@ -353,7 +394,7 @@ def _served(
         zooms_by_set = {name: zoom_range(matrix_set, world, bounds, detail) for name, matrix_set in served_matrix_sets().items()}
         zooms = {name: range_ for name, range_ in zooms_by_set.items() if range_ is not None}
     sun_is_default = loaded.level.sun is None
-    loaded = with_own_sun(loaded, world, scene.elevation)
+    loaded = with_default_sun(loaded, world, scene.elevation)
     version = level_version(loaded, stamps)
     view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}
     for text in scene.warnings:
@@ -367,7 +408,7 @@ def _served(
 def _view_size(scene: Scene, name: str) -> tuple[int, int] | None:
     try:
         view = scene.view(name)
-    except SkuggaError as error:  # the level has tiles all the same
-        log.warning("level %s: view %s cannot be drawn: %s", scene.loaded.name, name, error)
+    except SkuggaError as error:  # the level still has tiles
+        log.warning("level %s: view %s cannot be rendered: %s", scene.loaded.name, name, error)
         return None
     return view.cols, view.rows

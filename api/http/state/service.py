@@ -1,4 +1,4 @@
-"""What the routes share, and how they wait for work."""
+"""The service object that all routes share, and waiting for jobs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ log = logging.getLogger("skugga")
 
 @dataclass(frozen=True)
 class Service:
-    """Settings, levels, archives, render processes and animations of an application."""
+    """The settings, levels, archives, render processes, caches and animations of an application."""
 
     settings: Settings
     levels: ServedLevels
@@ -45,32 +45,34 @@ class Service:
     metrics: ServiceMetrics
 
     async def close(self) -> None:
-        """End all that is being drawn, and what draws it."""
+        """Stop animations and render processes."""
         await self.animations.close()
         await self.pool.close()
 
     @property
     def draws(self) -> bool:
-        """Whether there are render processes: archives alone need none."""
+        """Whether the service has render processes. A service of archives alone has none."""
         return bool(self.levels.names()) or self.settings.levels is not None
 
     def fresh_s(self, request: Request, otherwise_s: int) -> int:
-        """How many seconds a picture is fresh: a minute while the device is to be calibrated or levels are to be probed, so that
-        clients do not join pictures of other plans with it for long.
+        """Return the freshness lifetime of a picture in seconds.
+
+        It is a minute at most while a calibration or probe is pending. The plan may change then, and clients must not combine
+        pictures of different plans for long.
         """
         soon_others = self.pool.calibrating.expected or self.pool.probing.waiting
         return fresh_for(request, min(otherwise_s, FACTS_S) if soon_others else otherwise_s)
 
     def frame_s(self, order: FilmOrder, checked: FilmChecked) -> float:
-        """How many seconds each frame of a film is expected to take."""
+        """Return the expected seconds of each frame of a film."""
         return self.pool.expected_s(frame_job(order, 0)) if checked.frame_ms is None else checked.frame_ms / 1000.0
 
     async def level(self, name: str) -> ServedLevel:
-        """A level as it is now. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""
+        """Return a level as it is now. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""
         return await self.levels.current(name)
 
     async def all_levels(self) -> list[ServedLevel]:
-        """All levels as they are now; one that was broken since is left out."""
+        """Return all levels as they are now, without levels that have broken since."""
         names = self.levels.names()
         found = await asyncio.gather(*(self.levels.current(name) for name in names), return_exceptions=True)
         for name, level in zip(names, found, strict=True):
@@ -81,13 +83,21 @@ class Service:
         return [level for level in found if isinstance(level, ServedLevel)]
 
     async def done(self, request: Request, job: Job) -> Result:
-        """A job's answer, for as long as the client waits for it.
+        """Run a job and return its result. The job is cancelled if the client disconnects.
 
-        Raises ``TooManySunsError`` for a client that asks for too many suns, ``ClientGoneError``, ``NotServedError`` for a level
-        that is served no more and whose files are gone, or where nothing is drawn, and what ``Pool.run`` raises.
+        Raises
+        ------
+        TooManySunsError
+            The client asks for too many new suns.
+        ClientGoneError
+            The client has disconnected.
+        NotServedError
+            The level and its files were removed, or the service renders nothing.
+        SkuggaError
+            The errors of ``Pool.run``.
         """
         if not self.draws:
-            raise NotServedError("level", "This service has archives alone, and draws nothing.")
+            raise NotServedError("level", "level: this service has archives only and renders nothing. GET /archives lists them.")
         client = network_of(request.client.host if request.client else "")
         if self.pool.finished(job) is None:
             if job.request.sun is not None:
@@ -99,20 +109,23 @@ class Service:
         except (LevelError, SourceError):
             if isinstance(job, DescribedPlanJob) or self.levels.serves(job.level.path):
                 raise
-            raise NotServedError("level", "This level is not served any more.") from None
+            raise NotServedError("level", "level: this level is no longer served.") from None
 
 
 class ClientGoneError(Exception):
-    """The client has closed the connection: nobody reads the answer."""
+    """The client has closed the connection."""
 
 
 def service_of(request: Request) -> Service:
-    """The service of a request's application."""
+    """Return the service of a request's application."""
     return request.app.state.service
 
 
 async def the_service(request: Request) -> Service:
-    """The dependency. A plain function would be called in a thread, of which there may be none left."""
+    """Return the service (a FastAPI dependency).
+
+    It is asynchronous since FastAPI calls plain functions in a thread, and no thread may be left.
+    """
     return service_of(request)
 
 
@@ -120,7 +133,7 @@ TheService = Annotated[Service, Depends(the_service)]
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
-    """The result of work, which is cancelled when the client goes away. Raises ``ClientGoneError``."""
+    """Return the result of work; cancel it and raise ``ClientGoneError`` if the client disconnects."""
     task = asyncio.ensure_future(work)
     gone = asyncio.ensure_future(_gone(request))
     try:

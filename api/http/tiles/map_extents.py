@@ -76,7 +76,7 @@ def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBou
 def bounds_in(level: ServedLevel, crs: CRS) -> MapBounds:
     """What is looked at of a level, in a CRS. Raises ``InputError`` where the CRS does not hold it, or the world is flat."""
     if level.bounds is None:
-        raise UnsupportedError("level", level.name, f"{level.world.off_earth}: its maps have no CRS and no bbox")
+        raise UnsupportedError("level", level.name, f"{level.world.off_earth_reason}: its maps have no CRS and no bbox")
     try:
         west, south, east, north = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*level.bounds, densify_pts=21)
     except ProjError:

@@ -53,7 +53,7 @@ async def map_of_level(
     """A map of an extent, always with x (or longitude) first; off the data it is transparent, or has no values."""
     served = await service.level(level)
     sides = {name: check_side(name, value) for name, value in (("width", width), ("height", height)) if value is not None}
-    if served.world.off_earth is not None:
+    if served.world.off_earth_reason is not None:
         asked = _off_the_earth(served, bbox, crs, sides, wanted, format)
     else:
         asked = await run_in_threadpool(_on_earth, served, bbox, crs, sides, wanted, format)
@@ -76,6 +76,6 @@ def _off_the_earth(
 ) -> MapQuery:
     for name, value in (("bbox", bbox), ("crs", crs)):
         if value is not None:
-            raise InputError(name, value, f"nothing: {level.world.off_earth}, and its map is the whole level")
+            raise InputError(name, value, f"nothing: {level.world.off_earth_reason}, and its map is the whole level")
     own = level.view_sizes["map"] or (1, 1)
     return MapQuery(None, None, map_size(sides.get("width"), sides.get("height"), own[0] / own[1]), wanted, format)

@@ -14,8 +14,8 @@ PICTURE_DOCS: Answers = {
 
 EMPTY_DOCS: Answers = {204: {"description": "No data there, where `SKUGGA_EMPTY_TILE` is 204."}}
 
-EXACT = format_list([f"`{name}`" for name in MAP_PRODUCTS if not PRODUCTS[name].is_display], most=len(PRODUCTS))
+EXACT = format_list([f"`{name}`" for name in MAP_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
 """Layers to compute with, in words."""
 
-JPEG = format_list([f"`{name}`" for name in MAP_PRODUCTS if "jpg" in PRODUCTS[name].formats], most=len(PRODUCTS))
+JPEG = format_list([f"`{name}`" for name in MAP_PRODUCTS if "jpg" in PRODUCTS[name].formats], max_items=len(PRODUCTS))
 """Layers that there are as JPEG, in words."""

@@ -1,1 +1,1 @@
-"""Pictures of views: snapshots, and animations as jobs."""
+"""HTTP routes for views: snapshots, and animations as jobs."""

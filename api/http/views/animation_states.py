@@ -1,4 +1,4 @@
-"""What is told of an animation: its state as JSON, with the words of OGC API - Processes, and the bytes of its film."""
+"""Answer with the state of an animation as JSON, in the terms of OGC API - Processes, and with the bytes of its film."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from skugga.api.settings import Settings
 FILM_MEDIA: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
 
 RESULTS = "http://www.opengis.net/def/rel/ogc/1.0/results"
-"""Relation of a link to what a job has made."""
+"""Link relation of the results of a job."""
 
 _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
 
 
 class Link(BaseModel):
-    """Another address, and what is there."""
+    """A link to another address."""
 
     href: str
     rel: str
@@ -39,8 +39,10 @@ class Link(BaseModel):
 
 
 class AnimationState(BaseModel):
-    """How far an animation is. ``progress`` is in per cent; ``seconds_left`` is how long all of it is expected to take yet, those
-    before it included; ``problem`` says why it failed. A film is there until ``expires``, if there is room for so long.
+    """The state of an animation.
+
+    ``progress`` is in per cent. ``seconds_left`` is the expected time until the film is finished, including animations before it in
+    the queue. ``problem`` is the reason of a failure. The film is kept until ``expires`` at most, and less if space runs out.
     """
 
     job_id: str = Field(serialization_alias="jobID")
@@ -62,16 +64,16 @@ class AnimationState(BaseModel):
 
 
 def state_of(animation: Animation, animations: Animations, address: str) -> AnimationState:
-    """The state of an animation whose ``address`` it is."""
+    """Return the state of an animation, which has an ``address``."""
     done, frames = animation.frames_done, animation.order.span.frames
-    links = [Link(href=address, rel="self", type="application/json", title="How far it is")]
+    links = [Link(href=address, rel="self", type="application/json", title="The state")]
     if animation.status == "successful":
         media_type = FILM_MEDIA[animation.order.format]
         links.append(Link(href=f"{address}/result", rel=RESULTS, type=media_type, title="The film"))
     told = None if animation.error is None else public_problem(animation.error)
     messages: dict[AnimationStatus, str] = {
-        "accepted": "It waits for its turn.", "running": f"{done} of {frames} frames are drawn.",
-        "successful": "The film is there.", "failed": "" if told is None else told.detail,
+        "accepted": "The animation is in the queue.", "running": f"{done} of {frames} frames are drawn.",
+        "successful": "The film is ready.", "failed": "" if told is None else told.detail,
         "dismissed": animation.message or "",
     }  # fmt: skip
     return AnimationState(
@@ -84,7 +86,7 @@ def state_of(animation: Animation, animations: Animations, address: str) -> Anim
 
 
 def state_answer(status: int, state: AnimationState, settings: Settings) -> Response:
-    """A state as JSON, which no cache keeps; with its address, and when to ask again where there is news to come."""
+    """Return a state as JSON that caches do not store, with ``Location``, and ``Retry-After`` until the animation has ended."""
     headers = {"Cache-Control": "no-store", "Location": state.links[0].href}
     if state.seconds_left is not None:
         headers["Retry-After"] = str(retry_s(state.seconds_left, settings))
@@ -93,14 +95,17 @@ def state_answer(status: int, state: AnimationState, settings: Settings) -> Resp
 
 
 def retry_s(seconds_left: float, settings: Settings) -> int:
-    """When to ask again, in whole seconds: when all is expected to be done, but long before it is given up because nobody asks."""
+    """Return the whole seconds after which to poll again.
+
+    It is the expected time left, but at most a third of the time after which an animation that no client asks about is dismissed.
+    """
     return max(math.ceil(min(seconds_left, settings.animation_abandoned_s / 3.0)), 1)
 
 
 def film_answer(request: Request, animation: Animation, animations: Animations, settings: Settings) -> Response:
-    """The film, or the part of it that is asked for by ``Range``; the problem of one that failed.
+    """Return the film, or the part of it that ``Range`` asks for, or the problem of a failed animation.
 
-    Raises ``UnfinishedError`` before it is there, ``NotServedError`` for one that was dismissed.
+    Raises ``UnfinishedError`` for an unfinished animation and ``NotServedError`` for a dismissed one.
     """
     if animation.error is not None:
         return problem_response(public_problem(animation.error))
@@ -125,9 +130,9 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
 
 
 def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
-    """Where the part of so many bytes begins, and before which byte it ends, that a ``Range`` asks for (RFC 9110, section 14).
+    """Return the first byte, and the byte after the last, that a ``Range`` asks for (RFC 9110, section 14).
 
-    ``None`` for what asks for several parts or for none that is there: the whole may be sent then.
+    ``nbytes`` is the size of the whole. Several ranges, or one outside the file, give ``None``: the whole may be sent then.
     """
     found = _RANGE.fullmatch(text.strip())
     if found is None or not any(found.groups()):

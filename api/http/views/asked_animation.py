@@ -1,4 +1,4 @@
-"""What a client asks of an animation, in the body of its request, and the order that this is."""
+"""Parse the body of a request for an animation, and make an order for a film of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from skugga.api.http.views.cameras import FURTHEST_UP_M, POSITION_WORDS
 from skugga.api.request import PictureRequest
 from skugga.api.settings import Settings
 from skugga.selector.film_request import ALONG_PATH, FilmSpan
-from skugga.terrain.errors import Problem, InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.sun_path import as_utc, check_times
 from skugga.terrain.level.camera_file import CameraPathSpec
 from skugga.terrain.level.level import Shadows, parse_sun
@@ -26,7 +26,7 @@ from skugga.terrain.level.setting import settings_of
 from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 
 MOST_TEXT = 60
-"""Characters of a time or of a length of time."""
+"""Limit of the characters of a time or of a length of time."""
 
 FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
 Text = Annotated[str, Field(max_length=MOST_TEXT)]
@@ -37,7 +37,7 @@ _WHEN = Field(
     description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
     "what has a motion moves, and the sun rests. Default: as the path has it.",
 )  # fmt: skip
-_FROM: dict[str, Any] = {"from": (Text | None, _WHEN)}  # a word that no field of a class can have
+_FROM: dict[str, Any] = {"from": (Text | None, _WHEN)}  # a keyword, which a class cannot have as a field
 _Named: Any = create_model("_Named", __base__=Model, **_FROM)
 
 
@@ -80,19 +80,19 @@ _OF_SHADOWS: dict[str, Any] = {
 AskedAnimation: Any = create_model(
     "AskedAnimation",
     __base__=_Asked,
-    __doc__="An animation: when it plays, what it shows, and what is asked of its shadows.",
+    __doc__="An animation: its times, its view and its settings of shadows.",
     **_OF_SHADOWS,
 )
-"""The body, with the settings of shadows as its last fields."""
+"""The model of the body. The settings of shadows are its last fields."""
 
 
 def order_of(asked: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
-    """The order of an ``AskedAnimation``, found right as far as that is known without the level's ground. Raises ``InputError``."""
+    """Return the order for an ``AskedAnimation``, after all checks that do not need the level's ground. Raises ``InputError``."""
     if asked.format == "mp4" and find_spec("av") is None:
-        raise InputError("format", asked.format, "webp: this service has no encoder of mp4")
+        raise InputError("format", Problem("this service has no encoder of mp4"), "Use webp")
     if asked.path is not None:
         if asked.view is not None:
-            raise InputError("view", asked.view, "nothing beside path, which is a view of its own")
+            raise InputError.conflict("view", "path", "Use one of them; a path is a view of its own")
         _check_positions(asked.path)
     span = film_span(
         getattr(asked, "from"), asked.to, asked.step, asked.fps, asked.path, asked.seconds, settings.max_animation_frames
@@ -114,14 +114,20 @@ def order_of(asked: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
 
 
 def in_body(error: InputError, order: FilmOrder) -> InputError:
-    """What is wrong with a film, by its key of the body: the engine names what a film has, a camera's file and the frame."""
+    """Return an error of a film under the name of its key in the body.
+
+    The engine names the parameter of a film, the camera file or the frame.
+    """
     name, colon, of_frame = error.name.partition(": ")
     if name.startswith("keys"):
-        return type(error)(f"path.{error.name}", error.value, error.allowed)
+        return error.renamed(f"path.{error.name}")
     if name.startswith("path, "):
-        return type(error)("path", Problem(f"{name.removeprefix('path, ')}{colon}{of_frame}: {error.value}"), error.allowed)
+        at_frame = f"{name.removeprefix('path, ')}{colon}{of_frame}"
+        if isinstance(error.value, Problem):
+            return type(error)("path", Problem(f"{at_frame}: {error.value}"), error.allowed)
+        return type(error)("path", f"{at_frame}: {error.value}", error.allowed)
     if name == "time" and order.span.start is not None:
-        return type(error)("from", error.value, error.allowed)
+        return error.renamed("from")
     return error
 
 
@@ -135,15 +141,16 @@ def _check_positions(path: CameraPathSpec) -> None:
 def _check_pixels(size: tuple[int, int], frames: int, settings: Settings) -> None:
     pixels, words = size[0] * size[1], f"{size[0]}x{size[1]}"
     if pixels > settings.max_animation_frame_pixels:
-        allowed = f"at most {settings.max_animation_frame_pixels} pixels a frame (the service's SKUGGA_MAX_ANIMATION_FRAME_PIXELS)"
-        raise InputError("size", words, allowed)
+        limit = f"{settings.max_animation_frame_pixels} (the service's SKUGGA_MAX_ANIMATION_FRAME_PIXELS)"
+        raise InputError.over_limit("size", f"{words} is {pixels} pixels a frame", limit, "Use smaller frames")
     if frames * pixels > settings.max_animation_pixels:
-        allowed = f"at most {settings.max_animation_pixels} pixels in all (the service's SKUGGA_MAX_ANIMATION_PIXELS)"
-        raise InputError("size", Problem(f"{frames} frames of {words}"), allowed)
+        limit = f"{settings.max_animation_pixels} (the service's SKUGGA_MAX_ANIMATION_PIXELS)"
+        given = f"{frames} frames of {words} are {frames * pixels} pixels"
+        raise InputError.over_limit("size", given, limit, "Use fewer or smaller frames")
 
 
 def _resting_sun(asked: Any, span: FilmSpan) -> SunSpec | None:
-    """The sun of a film without dates. Raises ``InputError``."""
+    """Return the fixed sun of a film without dates; ``None`` with dates. Raises ``InputError``."""
     sun = parse_sun(asked.time, asked.azimuth, asked.altitude)
     if span.start is None:
         if sun is not None and sun.time is not None:
@@ -151,10 +158,10 @@ def _resting_sun(asked: Any, span: FilmSpan) -> SunSpec | None:
         return sun
     for name in ("time", "azimuth", "altitude"):
         if getattr(asked, name) is not None:
-            raise InputError(name, getattr(asked, name), "nothing beside dates in from and to, which say where the sun is")
+            raise InputError.conflict(name, "dates in from and to", f"Omit {name}: the dates define the sun")
     for name, moment in (("from", span.start), ("to", span.start + timedelta(seconds=span.length_s))):
         try:
             check_times(as_utc([moment]))
         except InputError as error:
-            raise InputError(name, error.value, error.allowed) from None
+            raise error.renamed(name) from None
     return None

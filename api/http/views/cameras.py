@@ -1,4 +1,4 @@
-"""Views that a request makes: where somebody stands, and where they look."""
+"""Parse the camera of a request: eye, target and field of view."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from fastapi import Query
 from pydantic import ValidationError
 
 from skugga.api.http.numbers import PLAIN_DECIMAL, decimal_in
-from skugga.terrain.errors import MISSING_VALUE, InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.parts import PerspectiveSpec
 
 FURTHEST_UP_M = 100_000.0
-"""Of an eye or a target above the ground: as high as anybody sees relief from."""
+"""Largest height of an eye or a target above the ground. Nobody views relief from higher up."""
 
 POSITION_WORDS = (
     "three numbers: longitude and latitude in degrees (in a flat world metres east and north of its middle), "
@@ -43,24 +43,25 @@ FovQuery = Annotated[
 
 
 async def camera_query(eye: EyeQuery = None, target: TargetQuery = None, fov: FovQuery = None) -> PerspectiveSpec | None:
-    """The dependency for a view that a request makes; ``None`` where it makes none. Raises ``InputError``."""
+    """Return the camera of a request, as a dependency; ``None`` for a request without one. Raises ``InputError``."""
     given: dict[str, Any] = {"eye": eye, "target": target}
     if eye is None and target is None:
         if fov is not None:
-            raise InputError("fov", fov, "nothing but beside eye and target: a view of the level has its own")
+            remedy = "Give eye and target as well, or omit fov: a view of the level has its own"
+            raise InputError("fov", Problem("given without eye and target"), remedy)
         return None
     for name, text in given.items():
         if text is None:
-            raise InputError(name, MISSING_VALUE, "eye and target together")
+            raise InputError.missing(name, "Give eye and target together")
     positions = {name: parse_position(name, text) for name, text in given.items()}
     try:
         return PerspectiveSpec(kind="perspective", **positions, **({} if fov is None else {"fov": fov}))
-    except ValidationError:  # each is right by itself
+    except ValidationError:  # each one is valid by itself
         raise InputError("target", target, "a target other than the eye") from None
 
 
 def parse_position(name: str, text: str) -> tuple[float, float, float]:
-    """A position of three numbers. Raises ``InputError``."""
+    """Return a position: longitude and latitude (or metres east and north), and height. Raises ``InputError``."""
     values = [value for part in text.split(",") if (value := decimal_in(part)) is not None]
     if len(values) != 3 or text.count(",") != 2 or max(map(abs, values[:2])) > 1e9 or abs(values[2]) > FURTHEST_UP_M:
         raise InputError(name, text, POSITION_WORDS)
@@ -68,4 +69,3 @@ def parse_position(name: str, text: str) -> tuple[float, float, float]:
 
 
 CAMERA_PARAMETERS = tuple(signature(camera_query).parameters)
-"""Of a view that a request makes."""

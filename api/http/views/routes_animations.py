@@ -1,4 +1,4 @@
-"""Animations: asked for, looked after and fetched. They are jobs, for a film takes longer than a request may."""
+"""Serve animations as jobs: create, poll, download and dismiss them. A film takes longer than a request may."""
 
 from __future__ import annotations
 
@@ -21,12 +21,10 @@ router = APIRouter(tags=["animations"])
 EXAMPLE: dict[str, Any] = {
     "from": "2024-10-21T15:00:00-04:00", "to": "2024-10-21T17:00:00-04:00", "step": "1h", "size": [64, 48], "fps": 2,
 }  # fmt: skip
-"""An example of what a client may send."""
-
 EXAMPLE_ID = "6f1c2a7e0d9b4c53a8e1f0d2b3c4a596"
 
 RESULT_ERRORS = 404, 409, 422, 500, 503, 504, 507
-"""Statuses of a film that could not be made, which are those of its result."""
+"""Statuses of the result of an animation that failed or is not finished."""
 
 AnimationPath = Annotated[
     str, Path(max_length=100, description="An animation by its `jobID`, which nobody guesses.", examples=[EXAMPLE_ID])
@@ -53,11 +51,11 @@ async def ask_for_animation(
     level: LevelPath,
     asked: Annotated[AskedAnimation, Body(description="When it plays and what it shows.", examples=[EXAMPLE])],
 ) -> Response:
-    """A film of a level under a sun that moves, seen by a camera that moves, or both. All its frames are looked at before it is
-    accepted; then they are drawn one by one, behind everything else that is asked for.
+    """Create an animation of a level with a moving sun, a moving camera, or both.
 
-    Ask for its state at `Location`: one that nobody asks about is given up. The same request has the same animation while that
-    is drawn, or its film is kept.
+    All frames are checked before the animation is accepted. They are then drawn one by one, with lower priority than other
+    requests. Poll the state at `Location`: an animation that no client asks about is dismissed. The same request returns the same
+    animation while it is drawn, or while its film is kept.
     """
     served = await service.level(level)
     order = order_of(asked, served, service.settings)
@@ -82,8 +80,10 @@ async def ask_for_animation(
     dependencies=[Depends(allow_only())],
 )
 async def animation_state(request: Request, service: TheService, animation: AnimationPath) -> Response:
-    """`accepted`, `running`, `successful`, `failed` or `dismissed`; how many frames are drawn, and how long it is expected to take
-    yet. `Retry-After` says when to ask again.
+    """Return the state of an animation.
+
+    The status is `accepted`, `running`, `successful`, `failed` or `dismissed`. The state also has the number of drawn frames and
+    the expected time left. `Retry-After` says when to ask again.
     """
     return _told(request, service, service.animations.get(animation))
 
@@ -98,7 +98,10 @@ async def animation_state(request: Request, service: TheService, animation: Anim
     dependencies=[Depends(allow_only())],
 )
 async def animation_result(request: Request, service: TheService, animation: AnimationPath) -> Response:
-    """The whole film, or a part of it by `Range`. Before it is there: 409, with `Retry-After`; where it failed: why."""
+    """Return the film, or the part of it that `Range` asks for.
+
+    An unfinished animation answers 409 with `Retry-After`. A failed one answers with its problem.
+    """
     return film_answer(request, service.animations.get(animation), service.animations, service.settings)
 
 
@@ -110,7 +113,7 @@ async def animation_result(request: Request, service: TheService, animation: Ani
     dependencies=[Depends(allow_only())],
 )
 async def dismiss_animation(request: Request, service: TheService, animation: AnimationPath) -> Response:
-    """Stop drawing it, and forget its film."""
+    """Stop drawing an animation, and delete its film."""
     found = service.animations.get(animation)
     service.animations.dismiss(found, "A client dismissed it.")
     return _told(request, service, found)

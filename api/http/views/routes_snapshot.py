@@ -1,4 +1,4 @@
-"""Snapshots: a level's view as one picture."""
+"""Serve snapshots: a view of a level as one picture."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ router = APIRouter(
 )
 
 MADE_VIEW = "made"
-"""What a view that a request makes is called in its plan."""
+"""Name, in plans, of a view that a request defines."""
 
-OF_ONE_LIGHT = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not PRODUCTS[name].is_display], most=len(PRODUCTS))
-"""Layers that show the shadow of one light, in words."""
+OF_ONE_LIGHT = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
+"""Layers that show the shadow of one light, as a phrase."""
 
 
 @router.get(
@@ -77,15 +77,17 @@ async def snapshot(
         ),
     ] = None,
 ) -> Response:
-    """A map or perspective view as the level has it, but for what the query asks; or one that the query itself makes, of an `eye`
-    and a `target`: as a view of a level file they are lists, `eye: [8.43, 47.5, 300]`.
+    """Draw a map view or perspective view of a level.
+
+    The view is one of the level, changed by the query, or one that the query defines by `eye` and `target`. In a level file these
+    are lists, as `eye: [8.43, 47.5, 300]`.
     """
     served = await service.level(level)
     product = product_named(layer, VIEW_PRODUCTS)
     if format not in product.view_formats:
         raise InputError("format", format, f"{', '.join(product.view_formats)} for layer {layer}")
     if seen_from is not None and view is not None:
-        raise InputError("view", view, "nothing beside eye and target, which are a view of their own")
+        raise InputError.conflict("view", "eye and target")
     name = MADE_VIEW if seen_from is not None else served.view_named(view)
     given_size = None if size is None else parse_size(size)
     pixels = given_size or (served.view_sizes[name] if seen_from is None else seen_from.size)

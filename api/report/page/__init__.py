@@ -1,3 +1,1 @@
-"""The parts of the page that ``skugga.api.report.report`` writes: markup, plots and pictures; its template, style and script beside
-them.
-"""
+"""Parts of the page of ``skugga.api.report.report``: markup, plots, pictures, and files with template, style and script."""

@@ -1,4 +1,4 @@
-"""The times of all rows as SVG: a bar each, of a part for each stage, the shortest first."""
+"""Stacked bar chart of the times of all rows as SVG: one bar per row, one segment per stage, shortest first."""
 
 from __future__ import annotations
 
@@ -17,23 +17,31 @@ BARS_WIDTH, BAR_STEP, BARS_TOP, BAR = 1180.0, 21.0, 26.0, 14.0
 NAME_PX, BAR_CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0
 REST = "not in a stage"
 MIN_REST = 0.02
-"""A smaller share of a row's time outside of all stages is not shown."""
+"""Minimum share of a row's time outside all stages that is shown."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Milliseconds to pixels, from 0 at ``left`` to ``end_ms`` at the right; longer bars are drawn as long as it, in proportion."""
+    """The time axis of the bars. Longer bars are scaled to the length of the axis.
+
+    Attributes
+    ----------
+    left
+        Position of 0 ms, pixels.
+    end_ms
+        Time at the right end.
+    """
 
     left: float
     end_ms: float
 
     def px(self, ms: float, whole_ms: float) -> float:
-        """Width of a part of a bar that stands for ``whole_ms``."""
+        """Return the width in pixels of a segment of ``ms`` in a bar of ``whole_ms``."""
         return ms * (BARS_WIDTH - self.left - TIME_PX) / max(self.end_ms, whole_ms)
 
 
 def bars(figures: list[RowFigures]) -> str:
-    """An SVG element, 1180 wide: stacked bars from 0, each with its name, which links to the table, and its median time."""
+    """Return an SVG element, 1180 px wide: stacked bars with median times and names, which link to the table."""
     order = sorted(range(len(figures)), key=lambda k: (figures[k]["ms_median"], figures[k]["name"]))
     names_px = [len(f["name"]) * (BOLD_PX if f["pareto"] else BAR_CHARACTER_PX) + 12.0 for f in figures]
     axis = Axis(max([NAME_PX, *names_px]), _end_ms(figures))
@@ -51,12 +59,12 @@ def bars(figures: list[RowFigures]) -> str:
 
 
 def too_long(figures: list[RowFigures]) -> bool:
-    """Whether any bar is longer than the axis."""
+    """Return whether any bar is longer than the axis."""
     return max(map(_whole_ms, figures), default=0.0) > _end_ms(figures)
 
 
 def bars_legend(figures: list[RowFigures]) -> str:
-    """A list of the stages and their colours."""
+    """Return the legend: a list of stages and their colours."""
     return tag("ul", *(tag("li", _swatch(colour), escape(name)) for name, colour in _colours(figures).items()), class_="legend")
 
 
@@ -65,7 +73,7 @@ def _swatch(colour: str) -> str:
 
 
 def stages_of(figures: RowFigures) -> dict[str, float]:
-    """Milliseconds of a row's stages, and what is left of its median time where that counts."""
+    """Return the milliseconds of a row's stages, and the rest of its median time if it exceeds ``MIN_REST``."""
     stages = {name: ms for name, ms in figures["stages"].items() if ms > 0.0}
     rest = figures["ms_median"] - sum(stages.values())
     return stages | ({REST: rest} if rest > MIN_REST * figures["ms_median"] else {})
@@ -82,7 +90,9 @@ def _whole_ms(figures: RowFigures) -> float:
 
 
 def _end_ms(figures: list[RowFigures]) -> float:
-    """The longest time, but no more than twice what four fifths of the rows keep: a few slow ones would hide all others."""
+    """Return the end of the axis: the longest time, but at most twice the 80th percentile, so that outliers do not shrink
+    all other bars.
+    """
     times = sorted(map(_whole_ms, figures)) or [0.0]
     common = 2.0 * times[(4 * (len(times) - 1)) // 5]
     return max(1e-3, times[-1] if times[-1] <= common or common == 0.0 else common)

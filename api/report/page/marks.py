@@ -1,4 +1,4 @@
-"""How algorithms and stages look in plots: colours and shapes that the colour-blind tell apart, the same in every report.
+"""Marks of algorithms and colours of stages in plots, safe for colour-blind readers and equal in every report.
 
 The colours are those of M. Okabe and K. Ito, Color Universal Design (2008).
 """
@@ -34,11 +34,11 @@ POINTS: dict[str, str] = {
         )
     },
 }
-"""Corners of shapes about the size of a circle of radius 1."""
+"""Polygon vertices of marks, about the size of a unit circle."""
 
 
 def drawn(mark: Mark, x: float, y: float, radius: float = 6.0) -> str:
-    """A mark as SVG around a point."""
+    """Return a mark as an SVG element centred at a point, pixels."""
     colour = COLOURS[mark.colour]
     paint = {"fill": colour, "stroke": "#fff"} if mark.filled else {"fill": "#fff", "stroke": colour}
     paint |= {
@@ -49,7 +49,10 @@ def drawn(mark: Mark, x: float, y: float, radius: float = 6.0) -> str:
 
 
 def mark_of(family: str) -> Mark:
-    """The mark of algorithms at work together (``summary.family``): that of the first but shadow maps, hollow if not alone."""
+    """Return the mark of a combination of algorithms (``summary.algorithm_family``).
+
+    It is the mark of the first algorithm other than shadow maps, and hollow if there are several.
+    """
     names = family.split(" + ")
     lead = next((name for name in names if name != FALLBACK), names[0])
     mark = ALGORITHMS[lead].mark if lead in ALGORITHMS else SPARE
@@ -65,5 +68,5 @@ STAGE_COLOURS = (
 
 
 def stage_colours(stages: list[str]) -> dict[str, str]:
-    """A colour for each stage, in order; past a dozen they begin anew."""
+    """Return a colour for each stage in order; colours repeat after twelve."""
     return {name: STAGE_COLOURS[k % len(STAGE_COLOURS)] for k, name in enumerate(stages)}

@@ -1,4 +1,4 @@
-"""Elements of HTML and SVG as text, with everything in them escaped at one place."""
+"""HTML and SVG elements as text, with escaping in one place."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from html import escape
 from typing import Any
 
 VOID = frozenset({"img", "input", "br", "wbr"})
-"""Elements of HTML that have no end tag."""
+"""HTML elements without an end tag."""
 
 
 def tag(name: str, *content: str, **attributes: Any) -> str:
-    """An element around markup; ``class_`` is ``class``, ``data_value`` is ``data-value``, an attribute of ``None`` is left out."""
+    """Return an element with markup as content.
+
+    ``class_`` stands for ``class`` and ``data_value`` for ``data-value``. Attributes of ``None`` are omitted.
+    """
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(str(value))}"' for key, value in attributes.items() if value is not None
     )
@@ -19,17 +22,17 @@ def tag(name: str, *content: str, **attributes: Any) -> str:
 
 
 def definitions(pairs: dict[str, str], **attributes: Any) -> str:
-    """A definition list of plain texts."""
+    """Return a definition list of plain texts."""
     return tag(
         "dl", *(tag("div", tag("dt", escape(key)), tag("dd", escape(str(value)))) for key, value in pairs.items()), **attributes
     )
 
 
 def breakable(text: str) -> str:
-    """A text in which a line may be broken after a comma or a hyphen, as in names of rows."""
+    """Return escaped text that may break after a comma or a hyphen, for names of rows."""
     return escape(text).replace(",", ",<wbr>").replace("-", "-<wbr>")
 
 
 def script_json(value: Any) -> str:
-    """JSON for a script element: no text in it can end the element or open a comment (HTML, 4.12.1.3)."""
+    """Return JSON for a script element. No text in it can end the element or open a comment (HTML, 4.12.1.3)."""
     return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")

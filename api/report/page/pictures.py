@@ -1,8 +1,7 @@
-"""Pictures of a report, small enough to lie in its page: the ground once, and of each row its shadow and where that is wrong.
+"""Pictures of a report, small enough to embed: the ground once, and the shadow and errors of each row.
 
-A row's picture shows its errors by itself, red and blue over its shadow in grays; since each of its colours stands for one level
-of visibility and one class and none is lost (WebP without loss), a script can read both back from the pixels and lay the shadow
-over the ground.
+A row's picture shows its shadow in grays, false shadow in red and missed shadow in blue. Each colour encodes one level of
+visibility and one class, in lossless WebP. A script can therefore decode both from the pixels and draw the shadow over the ground.
 """
 
 from __future__ import annotations
@@ -15,18 +14,30 @@ import numpy as np
 from PIL import Image
 
 GRAY_LEVELS, FEW_GRAY_LEVELS = 16, 8
-"""Steps of visibility from dark to lit; and those taken where pictures would have to be shrunk otherwise."""
+"""Number of visibility levels from dark to lit, and the fallback that is tried before pictures are shrunk."""
 CORRECT, FALSE_SHADOW, MISSED_SHADOW = range(3)
-"""Classes; a colour's index is its level of visibility + the number of levels times its class."""
+"""Error classes. The palette index is visibility level + number of levels * class."""
 
 MAX_SIDE_PX = 4096
-"""Of a larger picture browsers refuse to make a canvas."""
+"""Maximum side of a picture; browsers refuse larger canvases."""
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """``data:`` URIs of the ground and of each row: ``rows`` x ``cols`` pixels, each for ``factor`` x ``factor`` of the view, in
-    so many ``levels`` of visibility.
+    """The encoded pictures of a report.
+
+    Attributes
+    ----------
+    ground
+        ``data:`` URI of the ground.
+    of_rows
+        ``data:`` URI of each row.
+    rows, cols
+        Size of the pictures, pixels.
+    factor
+        Side of the block of view pixels that one picture pixel covers.
+    levels
+        Number of visibility levels.
     """
 
     ground: str
@@ -38,13 +49,21 @@ class Pictures:
 
     @property
     def size(self) -> int:
-        """Characters of all URIs."""
+        """Total number of characters of all URIs."""
         return len(self.ground) + sum(map(len, self.of_rows))
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorPicture:
-    """What is drawn of a row: cast visibility uint8 (rows, cols) 0 dark to 255 lit, and its false and missed shadow, bool."""
+    """Visibility and errors of a row.
+
+    Attributes
+    ----------
+    visibility
+        Cast visibility, uint8 (rows, cols), 0 dark to 255 lit.
+    false_shadow, missed_shadow
+        Error masks, bool (rows, cols).
+    """
 
     visibility: np.ndarray
     false_shadow: np.ndarray
@@ -52,9 +71,10 @@ class ErrorPicture:
 
 
 def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], most: int) -> Pictures:
-    """Pictures of at most so many characters, shrunk by the least whole factor that does it, in many levels if that is enough.
+    """Return pictures of at most ``most`` characters, shrunk by the smallest sufficient integer factor.
 
-    ``ground`` is uint8 (rows, cols, 3). Visibility is averaged; a pixel that stands for a wrong one is wrong: none vanishes.
+    ``ground`` is uint8 (rows, cols, 3). At each factor the fewer levels are tried second. Visibility is averaged over a block;
+    a block with any wrong pixel is wrong, so that no error disappears.
     """
     factor = -(-max(ground.shape[:2]) // MAX_SIDE_PX)
     while True:
@@ -66,7 +86,7 @@ def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], most: int) -> 
 
 
 def indexes(row: ErrorPicture, factor: int = 1, levels: int = GRAY_LEVELS) -> np.ndarray:
-    """The palette's indexes uint8 of a row's picture, shrunk by a whole factor."""
+    """Return the palette indexes, uint8, of a row's picture, shrunk by an integer factor."""
     level = np.rint(_blocks(row.visibility, factor).mean(axis=(1, 3)) * ((levels - 1) / 255.0))
     false, missed = (_blocks(wrong, factor).sum(axis=(1, 3)) for wrong in (row.false_shadow, row.missed_shadow))
     wrong = np.where(missed > false, MISSED_SHADOW, np.where(false > 0, FALSE_SHADOW, CORRECT))
@@ -74,7 +94,10 @@ def indexes(row: ErrorPicture, factor: int = 1, levels: int = GRAY_LEVELS) -> np
 
 
 def palette(levels: int = GRAY_LEVELS) -> np.ndarray:
-    """Colours uint8 (3 * levels, 3): grays of visibility, then reds and blues too near one another for the eye to tell apart."""
+    """Return colours uint8 (3 * levels, 3): grays of visibility, then reds, then blues.
+
+    The reds look alike to the eye, and so do the blues.
+    """
     level = np.arange(levels)
     grays = np.repeat(np.rint(160 + level * (85 / (levels - 1)))[:, None], 3, axis=1)
     reds, blues = (np.array(colour) + level[:, None] * (0, 1, 0) for colour in ((214, 30, 30), (30, 70, 214)))
@@ -82,7 +105,7 @@ def palette(levels: int = GRAY_LEVELS) -> np.ndarray:
 
 
 def _at(ground: np.ndarray, rows: list[ErrorPicture], factor: int, levels: int, most: int) -> Pictures:
-    """The pictures at a factor in some levels, or as many of them as show that they are too big."""
+    """Return the pictures at a factor and a number of levels; stop early once they exceed ``most`` characters."""
     small = np.rint(_blocks(ground, factor).mean(axis=(1, 3))).astype(np.uint8)
     ground_uri, of_rows = _webp(small, quality=80, method=4), []
     size = len(ground_uri)
@@ -96,7 +119,7 @@ def _at(ground: np.ndarray, rows: list[ErrorPicture], factor: int, levels: int, 
 
 
 def _blocks(values: np.ndarray, factor: int) -> np.ndarray:
-    """Blocks of pixels (rows, factor, cols, factor, ...); the last ones are filled up from the edge."""
+    """Return pixels in blocks (rows, factor, cols, factor, ...), padded with edge values."""
     rows, cols = values.shape[:2]
     margins = [(0, -rows % factor), (0, -cols % factor), *[(0, 0)] * (values.ndim - 2)]
     filled = np.pad(values, margins, mode="edge")

@@ -1,4 +1,4 @@
-"""Logarithmic axes that have a place for zero, and what is written at ticks."""
+"""Logarithmic axes with a separate position for zero, and their tick labels."""
 
 from __future__ import annotations
 
@@ -6,13 +6,21 @@ from dataclasses import dataclass
 from math import ceil, floor, log10
 
 ZERO_PX = 46.0
-"""Width of the place for zero beside a logarithmic axis."""
+"""Width reserved for zero at the start of a logarithmic axis."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Values to pixels: ``low`` at ``start_px`` and ``high`` at ``end_px``, whichever of these is larger, in equal steps for equal
-    ratios; zero lies at ``zero_px``, before the start.
+    """A logarithmic scale from values to pixels.
+
+    Attributes
+    ----------
+    low, high
+        Values at ``start_px`` and ``end_px``.
+    start_px, end_px
+        Ends of the axis in pixels, in either order.
+    zero_px
+        Position of zero, before the start; ``None`` without zeros.
     """
 
     low: float
@@ -22,14 +30,14 @@ class Scale:
     zero_px: float | None
 
     def __call__(self, value: float) -> float:
-        """Pixels of a value; what is less than ``low`` but not zero lies at its start."""
+        """Return the position of a value in pixels. Positive values below ``low`` lie at the start."""
         if value <= 0.0 and self.zero_px is not None:
             return self.zero_px
         share = log10(max(value, self.low) / self.low) / log10(self.high / self.low)
         return self.start_px + share * (self.end_px - self.start_px)
 
     def ticks(self) -> list[float]:
-        """Powers of ten within; where these are fewer than three, 2 and 5 times them too."""
+        """Return the powers of ten on the axis; if they are fewer than three, include 2 and 5 times them."""
         powers = range(floor(log10(self.low)), ceil(log10(self.high)) + 1)
         for factors in ((1,), (1, 2, 5)):
             ticks = [f * 10.0**p for p in powers for f in factors if self.low * 0.999 <= f * 10.0**p <= self.high * 1.001]
@@ -39,9 +47,9 @@ class Scale:
 
 
 def scale_of(values: list[float], start_px: float, end_px: float, margin: float = 1.35) -> Scale:
-    """The scale that holds values, with a ratio of ``margin`` to spare; the place for zero is taken off where it is needed.
+    """Return the scale of some values, with a margin as a ratio at both ends and a position for zero if a value is zero.
 
-    With nothing but zeros it spans a decade up to 1.
+    It spans at least a decade. If all values are zero, it spans a decade around ``0.1 ** 0.5``.
     """
     positive = [value for value in values if value > 0.0] or [0.1 * margin, 1.0 / margin]
     low, high = min(positive) / margin, max(positive) * margin
@@ -54,5 +62,5 @@ def scale_of(values: list[float], start_px: float, end_px: float, margin: float 
 
 
 def round_time(ms: float) -> str:
-    """A tick's time: ``0 ms``, ``0.5 ms``, ``20 ms``, ``2 s``."""
+    """Return the tick label of a time: ``0 ms``, ``0.5 ms``, ``20 ms``, ``2 s``."""
     return f"{ms / 1000.0:g} s" if ms >= 1000.0 else f"{ms:g} ms"

@@ -1,4 +1,4 @@
-"""The scatter of error against time as SVG: every row a mark that links to its line of the table, the front drawn and named."""
+"""Scatter plot of error against time as SVG. Marks link to rows of the table; the Pareto front is drawn and labelled."""
 
 from __future__ import annotations
 
@@ -18,16 +18,26 @@ from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
 SCATTER_WIDTH, SCATTER_HEIGHT = 860.0, 540.0
 MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 84.0, 16.0, 14.0, 56.0
 HEAD_PX, LEGEND_PX, LEGEND_COLUMNS = 54.0, 14.0, 2
-"""Of the picture by itself: what its title takes, where its legend begins, and names of that in a line."""
+"""Layout of the separate picture: height of the title, left end of the legend, and columns of the legend."""
 LABEL_CHARACTER_PX, LINE_PX = 8.3, 16.0
-"""Of labels, a little more than any font takes."""
+"""Size of label text, slightly more than any font needs."""
 
 TextBox = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class ScatterPoint:
-    """A row in the plot: which it is, its figures, and where it lies."""
+    """A row in the plot.
+
+    Attributes
+    ----------
+    row
+        Index of the row.
+    figures
+        Its figures.
+    x, y
+        Position, pixels.
+    """
 
     row: int
     figures: RowFigures
@@ -36,9 +46,9 @@ class ScatterPoint:
 
 
 def scatter_plot(comparison: Comparison) -> str:
-    """An SVG element of 860 x 540; time to the right and error upwards, both logarithmic with a place for zero.
+    """Return an SVG element of 860 x 540 px: time to the right, error upwards, both logarithmic with a position for zero.
 
-    A row that casts nothing is left out beside others: in no time all wrong, it would only take their room.
+    Rows without shadows are omitted if other rows exist: they take no time and are all wrong, and would only stretch the axes.
     """
     label = "Error against time of every row"
     return tag(
@@ -69,7 +79,7 @@ def _plot(comparison: Comparison) -> str:
 
 
 def still(comparison: Comparison, title: list[str], style: str) -> str:
-    """The scatter as a picture of its own, an SVG file: with lines of a title, the legend and a style (CSS)."""
+    """Return the scatter plot as a separate SVG file with title lines, a legend and a style (CSS)."""
     names = _families(comparison)
     foot = HEAD_PX + SCATTER_HEIGHT + 8.0
     keys = []
@@ -93,7 +103,7 @@ def still(comparison: Comparison, title: list[str], style: str) -> str:
 
 
 def legend(comparison: Comparison) -> str:
-    """A list of the marks and the algorithms that they stand for."""
+    """Return the legend: a list of marks and their algorithms."""
     items = (tag("li", swatch(name), escape(name)) for name in _families(comparison))
     return tag("ul", *items, class_="legend")
 
@@ -105,7 +115,7 @@ def _families(comparison: Comparison) -> list[str]:
 
 
 def swatch(name: str) -> str:
-    """The mark of an algorithm as a small picture beside its name."""
+    """Return the mark of an algorithm as a small SVG element."""
     return tag("svg", drawn(mark_of(name), 8, 8, 5.2), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
 
 
@@ -132,7 +142,7 @@ def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
 
 
 def _floor(y: Scale, exact_to: float) -> Iterator[str]:
-    """The band of errors that truth cannot tell from none, where any of it is in sight."""
+    """Yield the band of errors below the noise of truth, if it is visible."""
     top, bottom = y(exact_to), SCATTER_HEIGHT - MARGIN_BOTTOM
     if exact_to > y.low:
         yield tag(
@@ -147,7 +157,7 @@ def _floor(y: Scale, exact_to: float) -> Iterator[str]:
 
 
 def _stairs(front: list[ScatterPoint]) -> list[tuple[float, float]]:
-    """Corners of the line through the front: what lies above and right of it is slower and less accurate than something else."""
+    """Return the vertices of the staircase through the Pareto front; every point above and right of it is dominated."""
     steps = sorted((point.x, point.y) for point in front)
     corners = [(x, y) for (x, _), (_, y) in zip(steps, [(0.0, MARGIN_TOP), *steps], strict=False)]
     line = [place for pair in zip(corners, steps, strict=True) for place in pair]
@@ -171,7 +181,10 @@ def _mark(point: ScatterPoint, comparison: Comparison) -> str:
 
 
 def _names(points: list[ScatterPoint], stairs: list[tuple[float, float]], light: str) -> Iterator[str]:
-    """Names of the front's rows, each where it covers neither a mark, a line, another name nor the frame; else none."""
+    """Yield labels of the rows on the front, at positions without overlap with marks, lines, labels or the frame.
+
+    A row without such a position gets no label.
+    """
     occupied: list[TextBox] = [(point.x - 6.0, point.y - 6.0, point.x + 6.0, point.y + 6.0) for point in points]
     occupied += [(min(a, c) - 1.0, min(b, d) - 1.0, max(a, c) + 1.0, max(b, d) + 1.0) for (a, b), (c, d) in pairwise(stairs)]
     for point in sorted((point for point in points if on_front(point.figures, light)), key=lambda point: -point.y):
@@ -198,7 +211,9 @@ PLACES = (
     ("start", 11.0, -8.0), ("start", 13.0, 5.0), ("start", -3.0, 34.0), ("start", -3.0, 50.0), ("start", -3.0, 66.0),
     ("start", -3.0, -30.0), ("start", -3.0, -48.0), ("end", -9.0, -9.0),
 )  # fmt: skip
-"""Where a name may stand beside its mark, best first: its anchor, pixels right and down. Below and left of the front is room."""
+"""Candidate positions of a label, best first: text anchor, pixels right and down of the mark. Positions below and left come
+first, since the area below and left of the front is empty.
+"""
 
 
 def _inside(box: TextBox) -> bool:

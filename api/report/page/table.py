@@ -1,4 +1,4 @@
-"""The table of all rows: their figures, and of each its settings, stages and counters."""
+"""The table of all rows: figures, settings, stages and counters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,21 @@ from skugga.selector.measure.compare import Comparison
 
 @dataclass(frozen=True)
 class Column:
-    """A column of figures: what it shows, the heading with its unit, how a value is written, and what it means."""
+    """A column of the table.
+
+    Attributes
+    ----------
+    key
+        Key of the figure.
+    heading
+        Heading.
+    unit
+        Unit of the written values.
+    written
+        Formatter of a value.
+    meaning
+        Explanation for the glossary.
+    """
 
     key: str
     heading: str
@@ -27,7 +41,7 @@ class Column:
 
 
 def fixed(digits: int, scale: float = 1.0) -> Callable[[float], str]:
-    """Numbers of so many decimals, a plain 0 only for what is zero."""
+    """Return a formatter with a number of decimals. It writes "0" only for zero, and "<" before small values."""
     least = 10.0**-digits
 
     def written(value: float) -> str:
@@ -40,42 +54,42 @@ def fixed(digits: int, scale: float = 1.0) -> Callable[[float], str]:
 
 
 def milliseconds(value: float) -> str:
-    """Times to a tenth under 10 ms, to a whole number from there on."""
+    """Return a time with one decimal below 10 ms and without decimals from there on."""
     return "0" if value == 0.0 else f"{value:.{0 if value >= 9.95 else 1 if value >= 0.05 else 3}f}"
 
 
 COLUMNS = [
     Column("ms_median", "time", "ms", milliseconds, "Wall clock of a frame's shadow work, median of its runs."),
-    Column("ms_p95", "p95", "ms", milliseconds, "The time that 95 % of the runs keep."),
-    Column("wrong_cast", "wrong cast", "%", fixed(3, 100), "Wrong pixels as a share of what truth or the row puts in cast shadow."),
+    Column("ms_p95", "p95", "ms", milliseconds, "95th percentile of the times of the runs."),
+    Column("wrong_cast", "wrong cast", "%", fixed(3, 100), "Wrong pixels as a share of the pixels in cast shadow by truth or by the row."),
     Column(
         "soft_error", "soft error", "%", fixed(3, 100),
-        "Mean difference of visibility from that of the light as an area (the sun's disc), by rays: the error of soft edges.",
+        "Mean difference of visibility from ray-traced truth with an area light (the sun's disc): the error of soft edges.",
     ),
     Column("coverage", "coverage", "%", fixed(2, 100), "Mean difference in shadow share over blocks of 16 × 16 pixels."),
     Column("wrong", "wrong", "%", fixed(3, 100), "Wrong pixels as a share of the surface where truth is certain."),
     Column("false_shadow", "false", "%", fixed(3, 100), "Wrong among the pixels that are lit in truth."),
     Column("missed_shadow", "missed", "%", fixed(3, 100), "Wrong among the pixels that are in shadow in truth."),
     Column("edge_mean", "edge", "px", fixed(2), "Mean distance between the row's shadow edges and those of truth."),
-    Column("edge_p95", "edge p95", "px", fixed(2), "The distance that 95 % of the edges keep."),
-    Column("edge_p95_m", "edge p95", "m", fixed(2), "The same on the ground."),
+    Column("edge_p95", "edge p95", "px", fixed(2), "95th percentile of the distances of edges."),
+    Column("edge_p95_m", "edge p95", "m", fixed(2), "The same, in metres on the ground."),
     Column(
         "interior", "interior", "%", fixed(3, 100),
-        "Wrong pixels farther from all edges of truth than aliasing reaches: failures. Beyond 0.1 % a row is no candidate.",
+        "Wrong pixels farther from all edges of truth than aliasing reaches: failures. A row above 0.1 % is rejected.",
     ),
     Column(
         "interior_sees", "interior sees", "%", fixed(0, 100),
-        "Share of truth's cast shadow that lies so far inside: what interior could show of a loss. Large texels make it blind.",
+        "Share of truth's cast shadow that is far enough from edges for interior to detect errors. Large texels reduce it.",
     ),
-    Column("interior_parts", "parts", "", fixed(0), "Connected failures of 8 pixels or more."),
-    Column("bytes", "memory", "MB", fixed(1, 1e-6), "Textures and buffers at their peak."),
+    Column("interior_parts", "parts", "", fixed(0), "Connected failures of at least 8 pixels."),
+    Column("bytes", "memory", "MB", fixed(1, 1e-6), "Peak memory of textures and buffers."),
 ]  # fmt: skip
 
 GLOSSARY = {f"{c.heading} ({c.unit})" if c.unit else c.heading: c.meaning for c in COLUMNS}
 
 
 def rows_table(comparison: Comparison) -> str:
-    """The table, the least error first, as its headings say; they become buttons where there is a script."""
+    """Return the table, smallest error first. A script turns its headings into buttons that sort."""
     figures = [row.figures for row in comparison.rows]
     order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error], figures[k]["ms_median"]))
     head = [
@@ -88,7 +102,7 @@ def rows_table(comparison: Comparison) -> str:
 
 
 def details(figures: RowFigures, light: str) -> str:
-    """Settings under a light, stages, counters and notes of a row."""
+    """Return the settings for a light, the stages, counters and notes of a row."""
     parts = [(f"Settings: {kinds}", definitions(pairs)) for kinds, pairs in _settings(figures, light).items()]
     parts.append(("Stages", definitions({name: format_duration(ms) for name, ms in stages_of(figures).items()})))
     parts.append(("Counters", definitions({name.replace("_", " "): f"{n:,}" for name, n in figures["counters"].items() if n})))
@@ -100,7 +114,7 @@ def details(figures: RowFigures, light: str) -> str:
 
 
 def _settings(figures: RowFigures, light: str) -> dict[str, dict[str, str]]:
-    """Settings by kinds of casters; kinds that share them stand together."""
+    """Return settings by caster kind; kinds with equal settings share an entry."""
     kinds: dict[str, list[str]] = {}
     settings: dict[str, dict[str, str]] = {}
     for kind, name in figures["algorithm"].get(light, {}).items():
@@ -112,7 +126,7 @@ def _settings(figures: RowFigures, light: str) -> dict[str, dict[str, str]]:
 
 
 def _flat(values: dict[str, Any], before: str = "") -> dict[str, str]:
-    """Nested settings as texts by words, as ``cascades 2 far m``."""
+    """Return nested settings as text by flat names, such as ``cascades 2 far m``."""
     flat: dict[str, str] = {}
     for key, value in values.items():
         name = f"{before}{key.replace('_', ' ')}"

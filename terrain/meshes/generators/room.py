@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 
 from skugga.terrain.meshes.body import Body, transformed
-from skugga.terrain.meshes.generators import furniture as made
+from skugga.terrain.meshes.generators import furniture as furniture_pieces
 from skugga.terrain.meshes.generators.furniture import BRASS, CLAY, GLAZE, LINEN, OAK, PAINT, TABLE_M, WALNUT
 from skugga.terrain.meshes.generators.shapes import cuboid, loft, tube, wall
 
@@ -94,18 +94,18 @@ def _furniture() -> list[Body]:
     pile = 0.012
     chairs = [(-0.5, 0.62, 4), (0.52, 0.66, -7), (-0.48, -0.64, 176), (0.5, -0.72, 190), (1.32, 0.02, -92), (-1.36, -0.04, 81)]
     groups = [
-        _at(made.dining_table(), x, y, pile),
-        _at(made.fruit_bowl(), x - 0.3, y + 0.1, pile + TABLE_M),
-        _at([made.vase(0.34, CLAY)], x + 0.55, y - 0.12, pile + TABLE_M),
-        _at(made.pendant(HIGH_M - 1.72), x, y, 1.65),
-        *(_at(made.chair(), x + east, y + north, pile, turn) for east, north, turn in chairs),
-        _at(made.bookshelf(), 1.7, HALF_NORTH_M - 0.32),
-        _at(made.sofa(), HALF_EAST_M - 0.5, -0.5, turn=-90.0),
-        _at(made.potted_plant(26, 1.5, 3), 3.4, 1.5),
-        _at(made.potted_plant(20, 1.15, 4), -3.45, -2.3),
-        _at([made.vase(0.5, GLAZE)], -3.78, -0.5, 0.5),
-        _at([made.vase(0.36, PAINT)], -3.8, 0.1, 0.5),
-        _at([made.vase(0.62, CLAY)], -3.76, 0.65, 0.5),
+        _moved_bodies(furniture_pieces.dining_table(), x, y, pile),
+        _moved_bodies(furniture_pieces.fruit_bowl(), x - 0.3, y + 0.1, pile + TABLE_M),
+        _moved_bodies([furniture_pieces.vase(0.34, CLAY)], x + 0.55, y - 0.12, pile + TABLE_M),
+        _moved_bodies(furniture_pieces.pendant(HIGH_M - 1.72), x, y, 1.65),
+        *(_moved_bodies(furniture_pieces.chair(), x + east, y + north, pile, turn) for east, north, turn in chairs),
+        _moved_bodies(furniture_pieces.bookshelf(), 1.7, HALF_NORTH_M - 0.32),
+        _moved_bodies(furniture_pieces.sofa(), HALF_EAST_M - 0.5, -0.5, turn=-90.0),
+        _moved_bodies(furniture_pieces.potted_plant(26, 1.5, 3), 3.4, 1.5),
+        _moved_bodies(furniture_pieces.potted_plant(20, 1.15, 4), -3.45, -2.3),
+        _moved_bodies([furniture_pieces.vase(0.5, GLAZE)], -3.78, -0.5, 0.5),
+        _moved_bodies([furniture_pieces.vase(0.36, PAINT)], -3.8, 0.1, 0.5),
+        _moved_bodies([furniture_pieces.vase(0.62, CLAY)], -3.76, 0.65, 0.5),
     ]
     rug = cuboid((x - 1.75, y - 1.25, 0.0), (x + 1.75, y + 1.25, pile), RUG)
     bench = [cuboid((-3.98, -1.0, 0.44), (-3.58, 1.0, 0.5), OAK)]
@@ -121,5 +121,5 @@ def _furniture() -> list[Body]:
     return [rug, *bench, *pictures, *(body for group in groups for body in group)]
 
 
-def _at(bodies: list[Body], east: float, north: float, up: float = 0.0, turn: float = 0.0) -> list[Body]:
+def _moved_bodies(bodies: list[Body], east: float, north: float, up: float = 0.0, turn: float = 0.0) -> list[Body]:
     return [transformed(body, (east, north, up), turn) for body in bodies]

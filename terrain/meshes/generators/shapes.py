@@ -55,13 +55,13 @@ def tube(path_m: list[Vector] | np.ndarray, radius_m: float | list[float], sides
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     radius = np.broadcast_to(np.asarray(radius_m, np.float64), len(path))
     turn = 2 * np.pi * (np.arange(sides) + 0.5) / sides
-    across = np.eye(3)[np.argmin(np.abs(along[0]))]
+    normal = np.eye(3)[np.argmin(np.abs(along[0]))]
     loops = []
     for point, tangent, r in zip(path, along, radius, strict=True):
-        across = across - tangent * (across @ tangent)
-        across /= np.linalg.norm(across)
-        other = np.cross(tangent, across)
-        loops.append(point + r * (np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * other))
+        normal = normal - tangent * (normal @ tangent)
+        normal /= np.linalg.norm(normal)
+        binormal = np.cross(tangent, normal)
+        loops.append(point + r * (np.cos(turn)[:, None] * normal + np.sin(turn)[:, None] * binormal))
     return solid(*_lofted(np.array(loops), path[0], path[-1]), color)
 
 
@@ -72,7 +72,7 @@ def lathe(profile_m: list[tuple[float, float]] | np.ndarray, sides: int, color: 
     """
     profile = np.asarray(profile_m, np.float64)
     ends = np.array([[0, 0, profile[0, 1]], [0, 0, profile[-1, 1]]])
-    vertices, triangles = _lofted(_turned(profile[1:-1], sides), *ends)
+    vertices, triangles = _lofted(_revolve(profile[1:-1], sides), *ends)
     return solid(vertices + np.asarray(centre), triangles, color)
 
 
@@ -81,10 +81,10 @@ def ring(section_m: list[tuple[float, float]] | np.ndarray, sides: int, color: C
 
     The section of k points (radius, height) is counter-clockwise and does not touch the axis.
     """
-    loops = _turned(np.asarray(section_m, np.float64), sides)
+    loops = _revolve(np.asarray(section_m, np.float64), sides)
     k = len(loops)
-    here, there = np.arange(k), np.roll(np.arange(k), -1)
-    return solid(loops.reshape(-1, 3), _walls(here, there, sides), color)
+    lower, upper = np.arange(k), np.roll(np.arange(k), -1)
+    return solid(loops.reshape(-1, 3), _walls(lower, upper, sides), color)
 
 
 def plate(outline: shapely.Polygon, low: float, high: float, color: Colour) -> Body:
@@ -159,7 +159,7 @@ def circle(centre: tuple[float, float], radius: float, points: int) -> list[tupl
     return [(centre[0] + radius * np.cos(t), centre[1] + radius * np.sin(t)) for t in turn]
 
 
-def _turned(profile: np.ndarray, sides: int) -> np.ndarray:
+def _revolve(profile: np.ndarray, sides: int) -> np.ndarray:
     """Return loops (k, sides, 3): profile points (k, 2) rotated about the up axis."""
     turn = 2 * np.pi * np.arange(sides) / sides
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -171,20 +171,20 @@ def _lofted(loops: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.
     """Return vertices and triangles of a skin over loops (k, sides, 3), closed by fans around a first and a last point."""
     k, sides = loops.shape[:2]
     j = np.arange(sides)
-    on = (j + 1) % sides
+    next_side = (j + 1) % sides
     bottom, top = k * sides, k * sides + 1
     fans = [
-        np.stack([np.full(sides, bottom), on, j], axis=1),
-        np.stack([np.full(sides, top), bottom - sides + j, bottom - sides + on], axis=1),
+        np.stack([np.full(sides, bottom), next_side, j], axis=1),
+        np.stack([np.full(sides, top), bottom - sides + j, bottom - sides + next_side], axis=1),
     ]
     walls = _walls(np.arange(k - 1), np.arange(1, k), sides)
     return np.concatenate([loops.reshape(-1, 3), [first, last]]), np.concatenate([walls, *fans])
 
 
-def _walls(here: np.ndarray, there: np.ndarray, sides: int) -> np.ndarray:
-    """Return the triangles between loops ``here`` and ``there``, two per side."""
+def _walls(lower: np.ndarray, upper: np.ndarray, sides: int) -> np.ndarray:
+    """Return the triangles between loops ``lower`` and ``upper``, two per side."""
     j = np.arange(sides)
-    on = (j + 1) % sides
-    a, b = here[:, None] * sides + j, here[:, None] * sides + on
-    c, d = there[:, None] * sides + on, there[:, None] * sides + j
+    next_side = (j + 1) % sides
+    a, b = lower[:, None] * sides + j, lower[:, None] * sides + next_side
+    c, d = upper[:, None] * sides + next_side, upper[:, None] * sides + j
     return np.concatenate([np.stack([a, b, c], axis=-1).reshape(-1, 3), np.stack([a, c, d], axis=-1).reshape(-1, 3)])

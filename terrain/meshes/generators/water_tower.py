@@ -56,7 +56,7 @@ def _gallery() -> list[Body]:
     floor = [(inner, GALLERY_M - 0.07), (outer, GALLERY_M - 0.07), (outer, GALLERY_M + 0.07), (inner, GALLERY_M + 0.07)]
     bars = [ring(circle((outer - 0.08, GALLERY_M + up), 0.03, 6), 64, STEEL) for up in (0.42, 0.77, 1.12)]
     posts = [
-        tube([(*_at(outer - 0.08, turn), GALLERY_M), (*_at(outer - 0.08, turn), GALLERY_M + 1.13)], 0.04, 6, STEEL)
+        tube([(*_on_circle(outer - 0.08, turn), GALLERY_M), (*_on_circle(outer - 0.08, turn), GALLERY_M + 1.13)], 0.04, 6, STEEL)
         for turn in range(0, 360, 10)
     ]
     return [ring(floor, 64, STEEL), *bars, *posts]
@@ -66,7 +66,7 @@ def _legs() -> list[Body]:
     """Return the inclined legs, each between a footing and the tank's wall."""
     foot = np.array([(i * s, j * s, up) for s, up in ((0.95, 0.0), (0.6, 0.9)) for i in (-1, 1) for j in (-1, 1)])
     bodies = []
-    for turn in _turns():
+    for turn in _leg_angles_deg():
         bodies.append(transformed(transformed(hull(foot, CONCRETE), (FOOT_RADIUS_M, 0.0, 0.0)), turn_deg=turn))
         bodies.append(tube([_on_leg(0.5, turn), _on_leg(GALLERY_M + 1.0, turn)], [0.34, 0.26], 16, STEEL))
     return bodies
@@ -75,10 +75,12 @@ def _legs() -> list[Body]:
 def _braces() -> list[Body]:
     """Return the struts around each tier, and two crossed rods in each panel."""
     bodies = []
-    for turn, on in zip(_turns(), np.roll(_turns(), -1), strict=True):
-        bodies += [tube([_on_leg(up, turn), _on_leg(up, on)], 0.13, 8, STEEL) for up in TIERS_M[1:]]
+    for turn, next_turn in zip(_leg_angles_deg(), np.roll(_leg_angles_deg(), -1), strict=True):
+        bodies += [tube([_on_leg(up, turn), _on_leg(up, next_turn)], 0.13, 8, STEEL) for up in TIERS_M[1:]]
         for low, high in zip(TIERS_M[:-1], TIERS_M[1:], strict=True):
-            bodies += [tube([_on_leg(low, a), _on_leg(high, b)], 0.055, 6, STEEL) for a, b in ((turn, on), (on, turn))]
+            bodies += [
+                tube([_on_leg(low, a), _on_leg(high, b)], 0.055, 6, STEEL) for a, b in ((turn, next_turn), (next_turn, turn))
+            ]
     return bodies
 
 
@@ -91,7 +93,7 @@ def _ladder() -> list[Body]:
         bodies.append(tube([(out, side, 0.0), (out, side, gallery)], 0.035, 6, STEEL))
         bodies.append(tube([(eaves, side, GALLERY_M), (eaves, side, roof), (eaves - 1.2, side, roof + 0.5)], 0.035, 6, STEEL))
         for up in TIERS_M[1:]:
-            strut = _on_leg(up, _turns()[0])[0]
+            strut = _on_leg(up, _leg_angles_deg()[0])[0]
             bodies.append(tube([(strut, side, up), (out, side, up)], 0.04, 6, STEEL))
     for east, first, last in ((out, 0.4, GALLERY_M), (eaves, GALLERY_M + 0.4, roof)):
         for up in np.arange(first, last, RUNG_M):
@@ -100,20 +102,20 @@ def _ladder() -> list[Body]:
     for up in hoops:
         bodies.append(tube(arc((out + 0.22, 0.0, up), CAGE_RADIUS_M, -145, 145, 9), 0.02, 5, STEEL))
     for turn in (-90, -30, 30, 90):
-        east, north = _at(CAGE_RADIUS_M, turn)
+        east, north = _on_circle(CAGE_RADIUS_M, turn)
         bodies.append(tube([(out + 0.22 + east, north, hoops[0]), (out + 0.22 + east, north, hoops[-1])], 0.02, 5, STEEL))
     return bodies
 
 
-def _turns() -> np.ndarray:
+def _leg_angles_deg() -> np.ndarray:
     return 30.0 + np.arange(LEGS) * 360.0 / LEGS
 
 
-def _at(radius_m: float, turn_deg: float) -> tuple[float, float]:
+def _on_circle(radius_m: float, turn_deg: float) -> tuple[float, float]:
     return radius_m * np.cos(np.radians(turn_deg)), radius_m * np.sin(np.radians(turn_deg))
 
 
 def _on_leg(up_m: float, turn_deg: float) -> tuple[float, float, float]:
     """Return the point of a leg's axis at a height."""
     radius = FOOT_RADIUS_M + (HEAD_RADIUS_M - FOOT_RADIUS_M) * up_m / GALLERY_M
-    return (*_at(radius, turn_deg), up_m)
+    return (*_on_circle(radius, turn_deg), up_m)

@@ -15,9 +15,9 @@ from skugga.api.workers.map_plans import plan_in_service, unprobed_class
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.worker_state import tiles_view
 from skugga.selector.cost.device_profile import DeviceProfile
-from skugga.selector.cost.usual_device import usual_device
-from skugga.selector.kept_probes import load_probes, probes_folder
+from skugga.selector.cost.typical_device import typical_device
 from skugga.selector.map_probes import MapClass, map_class
+from skugga.selector.probe_store import load_probes, probes_folder
 from skugga.terrain.gl.device import device
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.level.level import load_level
@@ -46,7 +46,7 @@ def test_a_services_plans_go_by_it(probed: list[dict], hills_level: Path):
     probes = load_probes(path)
     assert [2.0**each.scale for each in probes.classes] == [row["pixel_m"] for row in probed]
 
-    scene, profile = build_scene(load_level(hills_level)), usual_device()
+    scene, profile = build_scene(load_level(hills_level)), typical_device()
     basis, without = PlanBasis(profile, {served.version: probes.model_dump_json()}), PlanBasis(profile)
     for row in probed:
         view = map_block(scene, row["pixel_m"])
@@ -85,8 +85,8 @@ def test_one_block_where_it_shows_much_of_a_level_else_several(gl, hills_level: 
     assert len(map_probing.probed_places(scene, coarse_m)) == 1
     places = map_probing.probed_places(scene, fine_m)
     assert len(places) == 3 and places[0] == (0.5, 0.5)
-    alone = probe_blocks(scene, coarse_m, usual_device(), budget_s=1.0)
-    several = probe_blocks(scene, fine_m, usual_device(), budget_s=1.0)
+    alone = probe_blocks(scene, coarse_m, typical_device(), budget_s=1.0)
+    several = probe_blocks(scene, fine_m, typical_device(), budget_s=1.0)
     assert len(several.seen["sun"]) >= 3 > 0 < len(alone.seen["sun"])
     assert several.plan.view == "map"
 
@@ -94,20 +94,20 @@ def test_one_block_where_it_shows_much_of_a_level_else_several(gl, hills_level: 
 def test_what_was_seen_changes_a_choice(probed: list[dict], hills_level: Path):
     """The same level on a device on which the choice that would be taken was seen to be very slow."""
     served = ServedLevels([hills_level]).known()[0]
-    scene, profile = build_scene(load_level(hills_level)), usual_device()
+    scene, profile = build_scene(load_level(hills_level)), typical_device()
     view = map_block(scene, probed[0]["pixel_m"])
     probes = load_probes(own_probes()[0])
     first = probes.classes[0]
     (name,) = {each.choice for each in first.seen["sun"][:1]}
     slow = tuple(each.model_copy(update={"ms": 1e5}) if each.choice == name else each for each in first.seen["sun"])
-    slower = probes.with_(type(probes)(classes=(first.model_copy(update={"seen": {"sun": slow}}),)))
+    slower = probes.merged_with(type(probes)(classes=(first.model_copy(update={"seen": {"sun": slow}}),)))
 
     def verdict(by: PlanBasis) -> str:
         plan = plan_in_service(scene, view, "map", {}, served.key, by)
         return next(each.reason for each in plan.reasons if each.name == "sun: probe").rsplit("; ", 1)[1]
 
-    assert verdict(_basis(profile, served.version, probes)) == f"{name} as without it"
-    assert verdict(_basis(profile, served.version, slower)).endswith(f" in place of {name}")
+    assert verdict(_basis(profile, served.version, probes)) == f"the choice remains {name}"
+    assert verdict(_basis(profile, served.version, slower)).endswith(f" instead of {name}")
 
 
 def _basis(profile: DeviceProfile, version: str, probes) -> PlanBasis:

@@ -9,7 +9,7 @@ import pytest
 from skugga.api.cli import compiling
 from skugga.api.cli.compiling import compile_everything, compile_for_command
 from skugga.terrain.compiling import farm, loop_cache
-from skugga.terrain.compiling.ahead import PRODUCTS
+from skugga.terrain.compiling.ahead_of_time import PRODUCTS
 from skugga.terrain.compiling.loop_cache import loop_store
 from skugga.terrain.errors import RenderError
 

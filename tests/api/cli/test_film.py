@@ -145,7 +145,10 @@ def test_a_sun_and_a_camera_that_move_together(gl, run, folder):
         (("--path", "none.yaml", "-o", "film.webp"), "none.yaml: No such file"),
         (("--path", "camera.yaml", "--view", "eye", "-o", "film.webp"), "--view: 'eye'"),
         (("--path", "camera.yaml", "--stats", "camera.yaml", "-o", "film.webp"), "--stats: 'camera.yaml'"),
-        (("--path", "low.yaml", "-o", "film.webp"), "path, frame 10 (0.36 s): eye: '-0.319 m above the ground'"),
+        (
+            ("--path", "low.yaml", "-o", "film.webp"),
+            "path, frame 10 (0.36 s): eye: the camera goes under the ground, -0.319 m above it",
+        ),
         (("--path", "off.yaml", "-o", "film.webp"), "keys.1.eye: '(900.0, 0.0, 5.0)' is not allowed"),
         (("--path", "camera.yaml", "--size", "9000x9", "-o", "film.webp"), "size: '9000x9'"),
     ],

@@ -93,7 +93,7 @@ def test_validate_tells_what_was_read(run, site):
     raster, given = str(site / "dem.tif"), ("--canopy", str(site / "canopy.tif"), "--buildings", str(site / "houses.geojson"))
     status, out, _ = run("validate", raster, *given)
     assert status == 0 and "note: " in out and "warning" not in out
-    assert "houses.geojson: heights: 1 of 1 footprints by the attribute 'height_m'" in out
+    assert "houses.geojson: heights: 1 of 1 footprints from the attribute 'height_m'" in out
     planted = re.search(r"note: .*canopy.tif: (\d+) trees planted; left out: of its cells 99.6 % lower than 0.5 m\n", out)
     assert planted is not None and f"note: {planted[1]} trees, " in out
 
@@ -172,7 +172,7 @@ def test_validate_says_what_heights_are_taken_as(run, site):
     for given, heights, said in (
         ((named,), "-100 to -20 m", "heights in m (by its band), positive down (by its CRS 'MSL depth')"),
         ((named, "--positive", "up"), "20 to 100 m", "heights in m (by its band), positive up (by terrain.positive)"),
-        ((plain,), "20 to 100 m", "heights in m (nothing says a unit), positive up (nothing says a direction); if that is wrong"),
+        ((plain,), "20 to 100 m", "heights in m (no unit is stated), positive up (no direction is stated); if that is wrong"),
         ((plain, "--positive", "down"), "-100 to -20 m", "positive down (by terrain.positive)"),
         ((plain, "--units", "dm"), "2 to 10 m", "heights in dm (by terrain.units), positive up"),
         ((fathoms, "--positive", "down"), "-100 to -20 m", "heights in fathom (by its band), positive down"),
@@ -190,12 +190,12 @@ def test_validate_says_what_heights_are_taken_as(run, site):
     ("arguments", "words"),
     [
         (("validate", "level.yaml", "--positive", "down"), ("positive", "level.yaml", "terrain: {positive: down}")),
-        (("validate", "dem.tif", "--positive", "below"), ("--positive", "below", "up, of heights, or down, of depths")),
+        (("validate", "dem.tif", "--positive", "below"), ("--positive", "below", "up (heights) or down (depths)")),
         (("validate", "level.yaml", "--canopy", "canopy.tif"), ("canopy", "level.yaml", "forest: [{source: FILE}]")),
         (("validate", "level.yaml", "--buildings", "houses.geojson"), ("buildings", "level.yaml", "meshes: [{source: FILE}]")),
         (("validate", "level.yaml", "--nodata", "0"), ("nodata", "level.yaml", "terrain: {nodata: VALUE}")),
-        (("validate", "dem.tif", "--canopy", "nowhere.tif"), ("canopy", "nowhere.tif", "a file that is there")),
-        (("validate", "dem.tif", "--buildings", "nowhere.shp"), ("buildings", "nowhere.shp", "a file that is there")),
+        (("validate", "dem.tif", "--canopy", "nowhere.tif"), ("canopy", "nowhere.tif", "an existing file")),
+        (("validate", "dem.tif", "--buildings", "nowhere.shp"), ("buildings", "nowhere.shp", "an existing file")),
         (("validate", "dem.tif", "--buildings", "canopy.tif"), ("canopy.tif",)),
         (("validate", "dem.tif", "--canopy", "level.yaml"), ("level.yaml",)),
         (("validate", "dem.tif", "--nodata", "many"), ("--nodata",)),
@@ -212,7 +212,7 @@ def test_wrong_options_are_one_line(run, site, monkeypatch, arguments, words):
 
 
 def test_a_level_file_refuses_options_wherever_it_is_loaded(site):
-    with pytest.raises(InputError, match=r"level.yaml says it itself"):
+    with pytest.raises(InputError, match=r"applies to rasters only, and .*level.yaml is a level file"):
         load_level(LevelSource(path=site / "level.yaml", nodata=0.0))
 
 

@@ -164,7 +164,7 @@ def test_one_bad_point_among_many_is_named(run, valley, tmp_path, name, text, sa
         (["--at", "here"], "--at: 'here' is not allowed"),
         ([], "--at: missing; allowed: LON,LAT"),
         ([AT], "unexpected extra argument"),
-        (["--at", AT, "--date", "monday"], "date: 'monday' is no date"),
+        (["--at", AT, "--date", "monday"], "date: 'monday' is not allowed. Allowed: a calendar date such as 2024-03-21"),
         (["--at", AT, "--clock", "Mars", "--date", "2024-01-01"], "clock: 'Mars' is not allowed"),
         (["--at", AT, "--clock", "", "--date", "2024-01-01"], "clock: '' is not allowed. Allowed: solar, utc, an offset"),
         (["--at", AT, "--clock", "Pacific/Apia", "--date", "2011-12-30"], "date: '2011-12-30' is not allowed"),

@@ -42,7 +42,7 @@ def test_from_a_raster_to_an_archive(run, raster, tmp_path):
     [
         (("-o", "nowhere/a.pmtiles"), ("nowhere", "folder not found")),
         (("-o", "dem.tif"), ("--output", "dem.tif", ".pmtiles")),
-        (("-o", "a.pmtiles", "--zooms", "13-12"), ("--zooms", "13-12", "the first one first")),
+        (("-o", "a.pmtiles", "--zooms", "13-12"), ("--zooms", "13-12", "the lower one first")),
         (("-o", "a.pmtiles", "--zooms", "x"), ("--zooms", "8-13")),
         (("-o", "a.pmtiles", "--zooms", "3-23"), ("--zooms", "3-23", "zooms 0 to 1")),
         (("-o", "a.pmtiles", "--layer", "depth"), ("--layer", "depth", "terrarium")),

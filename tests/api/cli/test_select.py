@@ -47,7 +47,7 @@ def test_a_probe_is_the_default_and_says_what_it_drew_and_what_that_changed(gl, 
     status, out, _ = run("select", "jacksboro", "--size", "128x128")
     said = " ".join(out.split())
     assert status == 0 and "chosen by a probe" in said and "This device is not calibrated" in said
-    assert "candidates drawn and compared with truth" in said and "wrong of" in said and "expected)" in said
+    assert "candidates drawn and compared with truth" in said and "wrong of" in said and "(expected: " in said
 
 
 @pytest.mark.parametrize("path", bundled_levels(), ids=lambda path: path.stem)

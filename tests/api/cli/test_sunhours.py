@@ -40,7 +40,7 @@ def test_days_over_a_threshold_by_a_clock(run, raster, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--date", "2023-02-29"], "date: '2023-02-29' is no date"),
+        (["--date", "2023-02-29"], "date: '2023-02-29' is not allowed. Allowed: a calendar date such as 2024-03-21"),
         (["--to", "2024-03-20"], "to: '2024-03-20'"),
         (["--window", "16:00-08:00"], "window: '16:00-08:00'"),
         (["--clock", "Europe/Gotham"], "clock: 'Europe/Gotham'"),

@@ -241,7 +241,7 @@ def test_an_archive_lies_in_the_folders_of_data(tmp_path: Path, serve):
     (tmp_path / "levels").mkdir()
     archive = write_tiles(elsewhere / "a.pmtiles", {(ZOOM, X, Y): PNG})
     level = write_level(tmp_path / "levels", "hills", archive=str(archive))
-    with pytest.raises(LevelError, match="in none of the folders"):
+    with pytest.raises(LevelError, match="lies outside the folders of levels"):
         create_app(Settings(), [level])
     create_app(Settings(data_roots=(elsewhere,)), [level])
 

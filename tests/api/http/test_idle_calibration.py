@@ -142,7 +142,7 @@ def test_a_folder_that_cannot_be_written(serve: Serve, tmp_path: Path, caplog: p
 
 
 @pytest.mark.parametrize(("measure", "reason"), list(zip(
-    BROKEN, ["libEGL is broken", "its process ended with status 9", "ZeroDivisionError: division by zero", "of another device"],
+    BROKEN, ["libEGL is broken", "its process ended with exit status 9", "ZeroDivisionError: division by zero", "of another device"],
     strict=True,
 )))  # fmt: skip
 def test_a_failure_is_told_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture, measure, reason: str):

@@ -14,8 +14,8 @@ from skugga.api.settings import Settings
 from skugga.api.workers import idle_probes
 from skugga.api.workers.idle_probes import probed_level
 from skugga.selector.cost.device_profile import save_profile
-from skugga.selector.kept_probes import load_probes, probes_folder, save_probes
 from skugga.selector.map_probes import MapProbes, ProbedClass
+from skugga.selector.probe_store import load_probes, probes_folder, save_probes
 from tests.api.conftest import Client, running
 from tests.api.http.test_idle_calibration import OTHER_TILE, TILE, said, soon_idle, until
 from tests.api.workers import fake_probes, fake_workers
@@ -105,10 +105,10 @@ def test_what_cannot_be_kept_holds_until_the_service_ends(serve: Serve, caplog: 
 
 def test_a_level_is_probed_at_all_its_scales(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch):
     from skugga.api.workers.jobs import LevelKey
-    from skugga.selector.cost.usual_device import usual_device
+    from skugga.selector.cost.typical_device import typical_device
 
     monkeypatch.setattr(map_probing, "probed_scales", lambda scene: range(4, 6))
-    found = probed_level(LevelKey(path=hills_level, version="1"), -1, usual_device())
+    found = probed_level(LevelKey(path=hills_level, version="1"), -1, typical_device())
     assert [each.scale for each in found.classes] == [4, 5]
     assert {each.sun for each in found.classes} == {-1}
     assert all(each.seen["sun"] for each in found.classes)

@@ -19,7 +19,7 @@ from skugga.api.workers.jobs import DescribedPlanJob, Tiles
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.worker_state import TilePlanCache, WorkerState, block_view, tiles_view
-from skugga.selector.cost.device_profile import DeviceProfile, digest_of
+from skugga.selector.cost.device_profile import DeviceProfile, profile_digest
 from skugga.selector.select import plan_of_view
 from skugga.shadows.plan import Plan
 from skugga.terrain.cache import bytes_of
@@ -294,7 +294,7 @@ def tag(client: Client) -> str:
 def test_pictures_of_another_calibration_have_other_tags(serve_with):
     plain, other = serve_with(fake_workers.obedient), serve_with(calibrated)
     assert tag(plain) != tag(other)
-    assert other.service.pool.plan_version(None) == digest_of(profile()) != digest_of(profile(took_s=2.0))
+    assert other.service.pool.plan_version(None) == profile_digest(profile()) != profile_digest(profile(took_s=2.0))
     assert plain.service.pool.plan_version(None) == ""
 
 

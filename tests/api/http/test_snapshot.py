@@ -52,7 +52,7 @@ def test_without_a_size_it_is_that_of_views_in_level_files(client: Client):
     [
         ({"eye": EYE}, "target", "eye and target together"),
         ({"target": TARGET}, "eye", "eye and target together"),
-        ({"fov": "40"}, "fov", "beside eye and target"),
+        ({"fov": "40"}, "fov", "without eye and target"),
         ({"eye": "8.43,47.5", "target": TARGET}, "eye", "three numbers"),
         ({"eye": "8.43,47.5,high", "target": TARGET}, "eye", "three numbers"),
         ({"eye": "8.43,47.5,1e6", "target": TARGET}, "eye", "at most 100000"),
@@ -63,7 +63,7 @@ def test_without_a_size_it_is_that_of_views_in_level_files(client: Client):
         ({"eye": EYE, "target": "0,0,2"}, "target", "a position on the terrain's data"),
         ({"eye": EYE, "target": TARGET, "fov": "180"}, "fov", "179"),
         ({"eye": EYE, "target": TARGET, "fov": "wide"}, "fov", "a number"),
-        ({"eye": EYE, "target": TARGET, "view": "map"}, "view", "beside eye and target"),
+        ({"eye": EYE, "target": TARGET, "view": "map"}, "view", "cannot be combined with eye and target"),
         ({"eye": EYE, "target": TARGET, "size": "9000x9000"}, "size", "WxH"),
     ],
 )

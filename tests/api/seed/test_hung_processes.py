@@ -79,7 +79,7 @@ def test_a_stopped_process_is_replaced_and_its_task_drawn(run: Run, tmp_path: Pa
 @pytest.mark.long
 def test_a_task_that_always_hangs_is_listed_and_the_others_go_on(run: Run):
     pool = Stopping(times=100, limit_s=1.0)
-    with pytest.raises(RenderError, match=r"1 of \d+ tasks failed.*zoom 11 .*gave no answer within 1 s"):
+    with pytest.raises(RenderError, match=r"1 of \d+ tasks failed.*zoom 11 .*did not answer within 1 s"):
         seeded(run, pool)
     assert pool.left == 97 and tries_of(run) == [3]
 
@@ -97,7 +97,7 @@ def test_what_hangs_below_a_clusters_worker_is_replaced(run: Run):
     assert kept._process is not None
     os.kill(kept._process.pid, signal.SIGSTOP)
     said = kept.draw(shards, "run.json", task._replace(limit_s=1.0))
-    assert isinstance(said, NotDrawn) and (said.how, said.error) == ("died", "its render process gave no answer within 1 s")
+    assert isinstance(said, NotDrawn) and (said.how, said.error) == ("died", "its render process did not answer within 1 s")
     assert isinstance(kept.draw(shards, "run.json", task), Drawn)
     kept.end()
 
@@ -108,7 +108,7 @@ def test_processes_that_hang_at_the_start_end_the_run(monkeypatch: pytest.Monkey
     stopped: list[int] = []
     try:
         pool.begin(RunSpec.model_construct(), "nowhere")
-        with pytest.raises(GraphicsError, match=f"{MOST_FRUITLESS} render processes in a row ended, or gave no answer"):
+        with pytest.raises(GraphicsError, match=f"{MOST_FRUITLESS} render processes in a row ended or did not answer"):
             for _ in range(2 * MOST_FRUITLESS):
                 os.kill(pool.pids[0], signal.SIGSTOP)
                 stopped += pool.pids

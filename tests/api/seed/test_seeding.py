@@ -259,17 +259,17 @@ def test_reasons(run: Run, monkeypatch: pytest.MonkeyPatch):
     ground = rough_ground(120)
     ground[50:54, 50:54] = 600.0
     write_ground(run.level, ground)
-    assert reasons() == {"ground that they hang on has changed"}
+    assert reasons() == {"ground that affects the tiles has changed"}
     run()
     ground[50, 50] = 2000.0
     write_ground(run.level, ground)
     assert reasons() == {"the level's lowest or highest ground has changed"}
     run()
     run.settings = {"algorithm": "shadow_map"}
-    assert reasons() == {"the level or what is asked has changed"}
+    assert reasons() == {"the level or the request has changed"}
     run()
     monkeypatch.setattr(planning, "RENDERER_VERSION", render.RENDERER_VERSION + 1)
-    assert reasons() == {"the renderer is another one"}
+    assert reasons() == {"the renderer has changed"}
 
 
 def test_what_is_written_beside_the_pictures_draws_nothing_anew(run: Run, tmp_path: Path):
@@ -308,7 +308,7 @@ def test_a_table_for_another_renderer_is_refused(run: Run, monkeypatch: pytest.M
 
 
 def test_a_table_has_one_run_at_a_time(run: Run):
-    with work_of(run), pytest.raises(InputError, match=r"--work.*no other run.*process \d+"):
+    with work_of(run), pytest.raises(InputError, match=r"--work.*in use by process \d+.*that run"):
         run()
     run()
 
@@ -316,7 +316,7 @@ def test_a_table_has_one_run_at_a_time(run: Run):
 def test_a_broken_table_is_told(run: Run):
     run.work.mkdir()
     (run.work / "tasks.sqlite").write_bytes(b"no table" * 1000)
-    with pytest.raises(InputError, match="--work.*delete the folder"):
+    with pytest.raises(InputError, match="--work.*Delete the folder"):
         run()
 
 

@@ -87,5 +87,5 @@ def test_a_store_that_forgets_is_noticed(tmp_path: Path):
             return b""
 
     store: ShardStore = Forgetful(tmp_path)
-    with pytest.raises(RenderError, match="not what is read"):
+    with pytest.raises(RenderError, match="read back differs"):
         check_writable(store, str(tmp_path))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from skugga.api.workers.jobs import LevelKey
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.map_probes import MapProbes, ProbedClass
-from skugga.selector.seen import Seen
+from skugga.selector.observation import Observation
 from skugga.terrain.errors import RenderError
 
 
-def seen(choice: str = "shadow_map 1024", error: float = 0.01, ms: float = 20.0) -> Seen:
-    return Seen(choice=choice, error=error, error_noise=0.1, interior=0.0, interior_noise=0.1, ms=ms, ms_noise=0.1)
+def seen(choice: str = "shadow_map 1024", error: float = 0.01, ms: float = 20.0) -> Observation:
+    return Observation(choice=choice, error=error, error_noise=0.1, interior=0.0, interior_noise=0.1, ms=ms, ms_noise=0.1)
 
 
 def at_once(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:

@@ -136,7 +136,7 @@ def test_work_of_one_client_is_bounded_in_seconds_not_in_requests():
         queue.put(pending(snapshot(n), "one"))
     heavy = PlanJob(level=LEVEL, view="map")
     queue.learn(heavy, 30.0)
-    with pytest.raises(LaterError, match="this one would take 30.0 s") as told:
+    with pytest.raises(LaterError, match="this one would add 30.0 s") as told:
         check_admission(queue, heavy, "one", 0.0, SETTINGS)
     assert told.value.retry_after_s == 1
     check_admission(queue, heavy, "other", 0.0, SETTINGS)

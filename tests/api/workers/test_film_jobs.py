@@ -120,7 +120,7 @@ def test_pictures_pass_frames_and_a_full_queue_takes_them():
             await until(lambda: pool.queued == 2)
             tasks.create_task(run("tile", block(1)))
             await until(lambda: pool.queued == 3)
-            with pytest.raises(LaterError, match="1 of this client's pictures wait"):
+            with pytest.raises(LaterError, match="1 pictures of this client are queued"):
                 await pool.run(block(2))
             gate.open(4)
         assert ended == ["running", "tile", "frame", "frame"]
@@ -137,7 +137,7 @@ def test_frames_wait_for_as_long_as_need_be():
         await gate.begun()
         waiting = asyncio.create_task(pool.run(frame()))
         await until(lambda: pool.queued == 1)
-        with pytest.raises(LaterError, match="did not come within"):
+        with pytest.raises(LaterError, match="waited longer than the limit of"):
             await pool.run(block(1))  # which came later, and has to give up by now
         assert not waiting.done()
         gate.open(2)
@@ -224,7 +224,7 @@ def test_frames_that_are_drawn_one_by_one_are_those_of_the_film(
         at[0] = moment.number
         (drawn,) = film_frames(scene, request, [moment], replanner)
         whole.append(drawn)
-    assert any(each.handover is not None for each in whole) and whole[0].plan.headline != whole[-1].plan.headline
+    assert any(each.transition is not None for each in whole) and whole[0].plan.headline != whole[-1].plan.headline
 
     before: CarriedPlans | None = None
     for number, expected in enumerate(whole):

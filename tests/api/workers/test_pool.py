@@ -14,7 +14,7 @@ from skugga.api.settings import Settings
 from skugga.api.workers import background_compile
 from skugga.api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, Preparing
 from skugga.api.workers.pool import Pool
-from skugga.terrain.compiling.ahead import PRODUCTS
+from skugga.terrain.compiling.ahead_of_time import PRODUCTS
 from skugga.terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
 from tests.api.workers import fake_workers
 
@@ -206,7 +206,7 @@ def test_a_client_with_too_much_in_the_queue_is_refused_alone():
         await gate.begun()
         queued = [asyncio.create_task(pool.run(order(f"queued {n}"), "one")) for n in range(2)]
         await until(lambda: pool.queued == 2)
-        with pytest.raises(BusyError, match="2 of this client's pictures wait"):
+        with pytest.raises(BusyError, match="2 pictures of this client are queued"):
             await pool.run(order("too many"), "one")
         again = asyncio.create_task(pool.run(order("queued 1"), "one"))  # no new job, so there is room
         other = asyncio.create_task(pool.run(order("too many"), "other"))

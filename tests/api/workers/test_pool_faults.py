@@ -113,7 +113,7 @@ def test_waiting_has_an_end():
         pool._queue.expected.learn(order("first"), 0.01)
         begun = asyncio.create_task(pool.run(order("first")))
         await gate.begun()
-        with pytest.raises(LaterError, match=r"within 0.3 s") as caught:
+        with pytest.raises(LaterError, match=r"limit of 0.3 s") as caught:
             await pool.run(order("waits"))
         assert caught.value.retry_after_s >= 1
         assert pool.queued == 0 and pool.tally.expired == 1
@@ -133,7 +133,7 @@ def test_who_would_wait_too_long_is_refused_at_once():
         await gate.begun()
         waiting = asyncio.create_task(pool.run(order("waits"), "other"))
         await until(lambda: pool.queued == 1)
-        with pytest.raises(LaterError, match="expected to be") as caught:
+        with pytest.raises(LaterError, match="the expected wait is") as caught:
             await pool.run(order("map"), "other")
         assert 20 <= caught.value.retry_after_s <= 31
         waiting.cancel()

@@ -9,8 +9,16 @@ import pytest
 
 from benchmarks.selection.fit import KINDS, MAP_ALGORITHMS, START, FitCase, _model, _Terms, cases_of, fit_model
 from benchmarks.selection.policies import FOLDS, held_out_views, terrains
-from skugga.selector.belief import SharedVariance
-from skugga.selector.cost.error_model import LEAST, LEAST_INTERIOR, LEAST_SPREAD, ErrorModel, HillCurve, SharedErrors, error_groups
+from skugga.selector.cost.error_model import (
+    ERROR_OFFSET,
+    INTERIOR_OFFSET,
+    LEAST_SPREAD,
+    ErrorModel,
+    HillCurve,
+    SharedErrors,
+    error_groups,
+)
+from skugga.selector.gaussian_estimate import SharedVariance
 from skugga.shadows.maps.settings import Cascade, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.plan import Step
 from skugga.shadows.sweep.settings import SweepSettings
@@ -91,7 +99,7 @@ def test_errors_that_known_constants_made_give_them_back():
     assert found.floor["perspective_shadow_map"] == pytest.approx(1e-3, rel=0.1)
     assert found.spread["shadow_map"] == found.spread["perspective_shadow_map"] == LEAST_SPREAD  # nothing scatters
     again = [(one.expected(found).wrong_cast, one.error) for one in made()]
-    assert np.allclose(*np.transpose(again), rtol=0.02, atol=LEAST / 10.0)
+    assert np.allclose(*np.transpose(again), rtol=0.02, atol=ERROR_OFFSET / 10.0)
     assert np.ptp([error for _, error in again]) > 0.3  # from fine to coarse, else nothing would be told
 
 
@@ -107,7 +115,7 @@ def test_floors_scales_and_what_lies_inside_are_those_of_the_rows():
     a sweep about 0.4 %, always the same.
     """
     chances = (np.arange(200) + 0.5) / 200.0
-    errors = (0.02 + LEAST) * (chances / (1.0 - chances)) ** 0.3 - LEAST
+    errors = (0.02 + ERROR_OFFSET) * (chances / (1.0 - chances)) ** 0.3 - ERROR_OFFSET
     descriptor, bare = described("meshes", 100.0), described("relief", 100.0)
     volumes = Step(SUN, ("meshes",), "shadow_volume", VolumeSettings())
     swept = Step(SUN, ("relief",), "sweep", SweepSettings())
@@ -119,7 +127,7 @@ def test_floors_scales_and_what_lies_inside_are_those_of_the_rows():
     assert found.floor["sweep"] == pytest.approx(0.004, rel=1e-6) and found.spread["sweep"] == LEAST_SPREAD
     assert found.floor["hybrid"] == found.floor[DECIMATED] == 0.0  # of which there is no row
     its = 0.004 * CAST
-    assert found.interior["sweep"] == pytest.approx((0.1 * its + LEAST_INTERIOR) / (its + LEAST_INTERIOR))
+    assert found.interior["sweep"] == pytest.approx((0.1 * its + INTERIOR_OFFSET) / (its + INTERIOR_OFFSET))
     assert found.interior["hybrid"] == 0.0
     # What lies inside scatters as errors do, what is expected does not.
     assert found.interior["shadow_volume"] == pytest.approx(0.25, rel=0.05)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skugga.selector.choices import StandaloneRequest
-from skugga.selector.cost.cost_model import predicted_ms, predicted_parts_ms, work_of
+from skugga.selector.cost.cost_model import predicted_ms, predicted_parts_ms, step_work
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.unmeasured import UnmeasuredError
 from skugga.selector.planner.planner import make_plan
@@ -63,7 +63,7 @@ def profile(rates_ns: dict[str, dict[str, float]]) -> DeviceProfile:
 
 def all_at(rate_ns: float, descriptor: Descriptor, *step) -> DeviceProfile:
     """A profile with one rate for everything that a step does."""
-    work = work_of(descriptor, *step)
+    work = step_work(descriptor, *step)
     return profile({part: dict.fromkeys(counts, rate_ns) for part, counts in work.items()})
 
 
@@ -84,54 +84,54 @@ def test_a_suns_map_covers_what_is_seen_and_a_border_in_whole_steps():
 
 
 def test_counts_of_a_shadow_map_are_what_its_passes_do():
-    ((name, counts),) = work_of(described(), SUN, ("relief", "meshes"), "shadow_map", one_map(1024, 0.25, count=2)).items()
+    ((name, counts),) = step_work(described(), SUN, ("relief", "meshes"), "shadow_map", one_map(1024, 0.25, count=2)).items()
     assert name == "shadow_map, perspective"
     assert counts["maps"] == 2 and counts["fitted pixels"] == 2 * 640 * 512
     assert counts["look-ups, filter 3"] == 0.75 * 640 * 512
     assert counts["triangles"] == 2000 and counts["ground"] == 40_000 and counts["trees"] == 0
     assert counts["texels of ground"] == counts["texels"] == 320 * 192 + 576 * 320
-    alone = work_of(described(), SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
+    alone = step_work(described(), SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
     assert alone["texels of ground"] == alone["ground"] == 0
 
 
 def test_samples_where_something_ends_are_work_like_pixels():
     """Four samples for each such pixel, or two where there are many (``skugga.terrain.gbuffer.antialias``)."""
-    plain = work_of(described(), SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
+    plain = step_work(described(), SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
     for share, more in ((0.1, 0.4), (0.3, 0.6)):
         edged = described(edge_share=share)
-        counts = work_of(edged, SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
+        counts = step_work(edged, SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
         of_pixels = {name for name in counts if name.startswith(("fitted", "look-ups"))}
         assert all(counts[name] == pytest.approx((1.0 + more) * plain[name]) for name in of_pixels)
         assert all(counts[name] == plain[name] for name in counts.keys() - of_pixels)
     # Planar shadows are drawn into all of a picture, and once more into one of four times as many pixels.
-    level, edged = (work_of(described(edge_share=share), SUN, ("meshes",), "planar", None)["planar"] for share in (0.0, 0.1))
+    level, edged = (step_work(described(edge_share=share), SUN, ("meshes",), "planar", None)["planar"] for share in (0.0, 0.1))
     assert edged == {"blocks": 1.0, "pixels": 5.0 * level["pixels"], "triangles": 2.0 * level["triangles"], "trees": 0.0}
 
 
 def test_trees_cost_by_the_share_of_the_level_that_a_map_covers():
     lights = {SUN: LightFacts(area_share=0.25)}
     wooded = described(casters=("relief", "forest"), stands=(GROUND, TREES), lights=lights)
-    counts = work_of(wooded, SUN, ("forest",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
+    counts = step_work(wooded, SUN, ("forest",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
     assert counts["trees"] == 500 and counts["trees drawn"] == pytest.approx(125.0)
     tree_m2 = 4.0 * (10.0 * np.cos(np.radians(30.0)) + 4.0 * 0.5)
     assert counts["texels of leaves"] == pytest.approx(counts["texels"] * 500 * tree_m2 / (128.0 * 64.0 / 0.25))
     # Where leaves are known to stop the light of half of what is seen, so dense is the wood round it.
     dense = LightFacts(area_share=0.25, casts={"forest": {"share": 0.5, "bands": ()}})
-    counts = work_of(described(casters=("relief", "forest"), stands=(GROUND, TREES), lights={SUN: dense}), SUN, ("forest",),
+    counts = step_work(described(casters=("relief", "forest"), stands=(GROUND, TREES), lights={SUN: dense}), SUN, ("forest",),
                      "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]  # fmt: skip
     assert counts["texels of leaves"] == pytest.approx(counts["texels"] * np.log(2.0))
     assert counts["trees drawn"] == pytest.approx(min(np.log(2.0) * 128.0 * 64.0 / tree_m2, 500.0))
 
 
 def test_counts_of_volumes_grow_with_edges_and_layers():
-    few = work_of(described(), SUN, ("meshes",), "shadow_volume", VolumeSettings())
+    few = step_work(described(), SUN, ("meshes",), "shadow_volume", VolumeSettings())
     assert few["silhouettes, perspective"]["edges"] == 200 and few["silhouettes, perspective"]["ground"] == 0
     counting = few["counting, perspective"]
     assert counting["faces drawn"] == 200 + 500 and counting["layers"] == pytest.approx(np.log(2.5) ** 0.5 * counting["facing"])
-    twice = work_of(described(), SUN, ("meshes",), "shadow_volume", VolumeSettings(stencil="two_pass"))["counting, perspective"]
+    twice = step_work(described(), SUN, ("meshes",), "shadow_volume", VolumeSettings(stencil="two_pass"))["counting, perspective"]
     assert twice["layers"] == pytest.approx(np.log(4.0) ** 0.5 * counting["facing"])
     assert twice["faces drawn"] == 2 * counting["faces drawn"]
-    both = work_of(described(), SUN, ("relief", "meshes"), "shadow_volume", VolumeSettings())["counting, perspective"]
+    both = step_work(described(), SUN, ("relief", "meshes"), "shadow_volume", VolumeSettings())["counting, perspective"]
     # so many faces are drawn in rectangles of 16 x 16 tiles: 20 of them, and sides run through the root of that
     assert both["faces drawn"] == pytest.approx(200 * 20**0.5 + 500 + 0.25 * 20_000)
 
@@ -143,30 +143,30 @@ def test_a_hybrid_counts_where_its_map_cannot_decide():
         return described(lights={SUN: light})
 
     settings = HybridSettings(map=one_map(768, 0.25, filter=2))
-    few, many = (work_of(casting(share), SUN, ("meshes",), "hybrid", settings) for share in (0.1, 0.5))
+    few, many = (step_work(casting(share), SUN, ("meshes",), "hybrid", settings) for share in (0.1, 0.5))
     part = "counting, perspective"
     assert few[part]["layers beside marks"] == pytest.approx(0.75 * 640 * 512 * np.log1p(50 * 1.5 * 0.75 * 0.1))
     assert many[part]["layers beside marks"] == pytest.approx(0.75 * 640 * 512 * np.log1p(50 * 1.5 * 0.75 * 0.5))
     assert many[part]["faces beside marks"] == pytest.approx(5**0.25 * few[part]["faces beside marks"])
     assert few["conservative map, perspective"] == many["conservative map, perspective"]
-    original = work_of(casting(0.1), SUN, ("meshes",), "hybrid", HybridSettings(map=settings.map, mask="original"))
+    original = step_work(casting(0.1), SUN, ("meshes",), "hybrid", HybridSettings(map=settings.map, mask="original"))
     assert "shadow_map, perspective" in original and "mask" not in original
 
 
 def test_a_sweep_goes_by_nodes_and_lines_and_the_suns_disc_by_strips():
     plain, fine, soft = (
-        work_of(described(), SUN, ("relief",), "sweep", settings)["sweep, perspective"]
+        step_work(described(), SUN, ("relief",), "sweep", settings)["sweep, perspective"]
         for settings in (SweepSettings(), SweepSettings(lines=16), SweepSettings(filter="sun"))
     )
     assert plain["nodes"] == 10_000 and plain["steps"] == 80_000 and fine["steps"] == 160_000 and soft["steps"] == 16 * 80_000
-    block = work_of(in_map(), SUN, ("relief",), "sweep", SweepSettings())["sweep, map"]
+    block = step_work(in_map(), SUN, ("relief",), "sweep", SweepSettings())["sweep, map"]
     assert block["nodes"] == 256 * 256 * 4
 
 
 def test_an_omni_light_draws_six_faces():
     lamps = (LampFacts(name="lamp", kind="omni", cutoff_deg=180.0, reference_m=20.0),)
     lit = described(lamps=lamps, lights={})
-    counts = work_of(lit, "lamp", ("meshes",), "shadow_map", LampMapSettings(map_size=512, depth_bits=32, filter=3))
+    counts = step_work(lit, "lamp", ("meshes",), "shadow_map", LampMapSettings(map_size=512, depth_bits=32, filter=3))
     assert counts["shadow_map, omni"]["texels"] == 6 * 512**2 and counts["shadow_map, omni"]["triangles"] == 6000
 
 

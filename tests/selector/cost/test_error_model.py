@@ -8,12 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skugga.selector.belief import SharedVariance
 from skugga.selector.cost.error_model import (
-    LEAST,
-    LEAST_INTERIOR,
+    ASSUMED_CASTING,
+    ERROR_OFFSET,
+    INTERIOR_OFFSET,
     LEAST_SPREAD,
-    UNKNOWN_CASTING,
     ErrorModel,
     ExpectedErrors,
     HillCurve,
@@ -21,11 +20,12 @@ from skugga.selector.cost.error_model import (
     error_group_of,
     error_groups,
     expected_errors,
-    kinds_of_step,
     packaged_model,
     smoothed_ladder,
+    step_castings,
     texel_px_of,
 )
+from skugga.selector.gaussian_estimate import SharedVariance
 from skugga.shadows.hybrid.settings import HybridSettings
 from skugga.shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from skugga.shadows.plan import Step
@@ -35,8 +35,8 @@ from skugga.shadows.truth.metrics import MOST_INTERIOR
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
-from skugga.terrain.facts.probes import HALF_A_HIT
-from skugga.terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
+from skugga.terrain.facts.probes import MIN_CAST_SHARE
+from skugga.terrain.gbuffer.ground_mesh import MAX_UNDECIMATED_TRIANGLES
 from skugga.terrain.level.level import SUN
 
 PROPORTIONAL = tuple(px / 320.0 for px in TEXEL_LADDER_PX)
@@ -158,7 +158,7 @@ def test_planar_shadows_are_wrong_on_bodies():
 
     assert wrong_cast(0.05) == pytest.approx(0.25 + floor)
     assert wrong_cast(None) == pytest.approx(1.0)
-    assert wrong_cast(0.0) == pytest.approx(HALF_A_HIT / 0.2 + floor)
+    assert wrong_cast(0.0) == pytest.approx(MIN_CAST_SHARE / 0.2 + floor)
 
 
 def test_a_maps_error_is_what_differs_and_counts_by_bands_over_the_cast_shadow():
@@ -216,9 +216,9 @@ def test_steps_add_up_and_scatter_by_what_each_adds():
 
 def test_a_kind_that_throws_nothing_on_what_is_seen_adds_nothing_and_an_unknown_light_is_taken_to_cast():
     drawn = step("shadow_map", cascades((0.4, 0.4)), kinds=("meshes", "forest"))
-    assert [kind for kind, _ in kinds_of_step(described(), SUN, drawn)] == ["meshes"]
+    assert [kind for kind, _ in step_castings(described(), SUN, drawn)] == ["meshes"]
     unknown = described(lights={})
-    assert kinds_of_step(unknown, SUN, drawn) == [("meshes", UNKNOWN_CASTING), ("forest", UNKNOWN_CASTING)]
+    assert step_castings(unknown, SUN, drawn) == [("meshes", ASSUMED_CASTING), ("forest", ASSUMED_CASTING)]
     assert expected_errors(unknown, SUN, [drawn], MODEL).wrong_cast > MODEL.floor["shadow_map"]
     assert expected_errors(described(), SUN, [], MODEL) == ExpectedErrors(0.0, 0.0, 0.0, LEAST_SPREAD, LEAST_SPREAD)
 
@@ -229,7 +229,7 @@ def test_a_sweep_of_decimated_ground_has_a_floor_of_its_own():
     def on_ground(nodes: int | None) -> Descriptor:
         return described(stands=(CasterFacts(kind="relief", triangles=1000, nodes=nodes),))
 
-    fine, coarse = on_ground(WHOLE_TRIANGLES // 2), on_ground(WHOLE_TRIANGLES // 2 + 1)
+    fine, coarse = on_ground(MAX_UNDECIMATED_TRIANGLES // 2), on_ground(MAX_UNDECIMATED_TRIANGLES // 2 + 1)
     assert [error_group_of(each, swept) for each in (fine, coarse, on_ground(None))] == ["sweep", DECIMATED, "sweep"]
     assert expected_errors(fine, SUN, [swept], MODEL).wrong_cast == pytest.approx(MODEL.floor["sweep"])
     assert expected_errors(coarse, SUN, [swept], MODEL).wrong_cast == pytest.approx(MODEL.floor[DECIMATED])
@@ -270,28 +270,28 @@ def errors(wrong_cast: float, interior: float = 0.0, spread: float = 0.5) -> Exp
 
 def test_chances_are_even_at_what_is_expected_and_sure_far_away():
     its = errors(0.02)
-    assert its.chance_over(0.02) == pytest.approx(0.5)
-    assert its.chance_over(1.0) < 1e-3 and its.chance_over(1e-6) > 0.99
+    assert its.probability_over(0.02) == pytest.approx(0.5)
+    assert its.probability_over(1.0) < 1e-3 and its.probability_over(1e-6) > 0.99
     # Three times what is expected, with a thousandth added to both: odds of (21 / 61) ** (1 / 0.5).
-    odds = ((0.02 + LEAST) / (0.06 + LEAST)) ** 2
-    assert its.chance_over(0.06) == pytest.approx(odds / (1.0 + odds))
-    assert errors(0.9, spread=LEAST_SPREAD).chance_over(1e-9) <= 1.0  # and no overflow
+    odds = ((0.02 + ERROR_OFFSET) / (0.06 + ERROR_OFFSET)) ** 2
+    assert its.probability_over(0.06) == pytest.approx(odds / (1.0 + odds))
+    assert errors(0.9, spread=LEAST_SPREAD).probability_over(1e-9) <= 1.0  # and no overflow
 
 
 def test_what_is_wrong_inside_makes_a_target_missed_however_much_is_allowed():
-    assert errors(0.001, interior=MOST_INTERIOR).chance_over(1.0) == pytest.approx(0.5)
-    over = errors(0.001, interior=10.0 * MOST_INTERIOR).chance_over(1.0)
-    ratio = (10.0 * MOST_INTERIOR + LEAST_INTERIOR) / (MOST_INTERIOR + LEAST_INTERIOR)
+    assert errors(0.001, interior=MOST_INTERIOR).probability_over(1.0) == pytest.approx(0.5)
+    over = errors(0.001, interior=10.0 * MOST_INTERIOR).probability_over(1.0)
+    ratio = (10.0 * MOST_INTERIOR + INTERIOR_OFFSET) / (MOST_INTERIOR + INTERIOR_OFFSET)
     assert over == pytest.approx(1.0 / (1.0 + exp(-log(ratio) / 0.4)))
 
 
 @given(st.floats(0.0, 1.0), st.floats(1e-4, 1.0), st.floats(1.0, 10.0), st.floats(LEAST_SPREAD, 2.0), st.floats(0.0, 0.01))
 def test_a_chance_falls_with_what_is_allowed_and_grows_with_what_is_expected(expected, allowed, times, spread, interior):
     its = errors(expected, interior, spread)
-    assert 0.0 <= its.chance_over(allowed * times) <= its.chance_over(allowed) <= 1.0
-    assert errors(min(expected * times, 1.0), interior, spread).chance_over(allowed) >= its.chance_over(allowed)
+    assert 0.0 <= its.probability_over(allowed * times) <= its.probability_over(allowed) <= 1.0
+    assert errors(min(expected * times, 1.0), interior, spread).probability_over(allowed) >= its.probability_over(allowed)
     likely = expected <= allowed and interior <= MOST_INTERIOR
-    assert (its.chance_over(allowed) <= 0.5) == likely or abs(its.chance_over(allowed) - 0.5) < 1e-9
+    assert (its.probability_over(allowed) <= 0.5) == likely or abs(its.probability_over(allowed) - 0.5) < 1e-9
 
 
 def test_the_constants_that_come_with_the_package_are_those_of_every_manner():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from skugga.api.catalogue import find_level
 from skugga.selector.candidates import MAX_CANDIDATES, candidates, name_of
-from skugga.selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, measure_plan, run_light
+from skugga.selector.measure.compare import COUNTERS, Comparison, compare, measure_plan, picture_blocks, run_light
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.shadows.attached import attached
 from skugga.shadows.maps.texels import texel_on_level_ground_m
@@ -20,10 +20,10 @@ from skugga.shadows.render import render_frame
 from skugga.shadows.truth.metrics import soft_error
 from skugga.shadows.visibility import fill_steps, without_hidden_points
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.metrics import soft_truth
@@ -85,7 +85,7 @@ def test_what_is_timed_is_what_a_frame_draws(gl, scene):
     """With the samples where something ends; the errors are those of the picture's own pixels."""
     view = scene.view("eye")
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
-    pictures = drawn_on(scene, view)
+    pictures = picture_blocks(scene, view)
     run = run_light(scene, pictures, plan, "sun")
     clear_caches("light")
     frame = render_frame(scene, view, plan)
@@ -116,13 +116,13 @@ def test_rows_show_what_the_picture_shows_in_haze(gl, hazy):
     asked = [{"algorithm": "shadow_map", "map_size": 256, "filter": 1}, {"algorithm": "shadow_volume"}]
     plans = [plan_of(hazy, view, **each) for each in asked]
     compared = compare(hazy, view, "eye", plans=plans, time_limit_s=0.0)
-    buffer = geometry_of(hazy, view)
+    buffer = geometry_buffer(hazy, view)
     hidden = buffer.there & ~without_hidden_points(buffer, hazy, "sun", {"haze"}).there
     for row, plan in zip(compared.rows, plans, strict=True):
         frame = render_frame(hazy, view, plan)
         shown = np.rint(255.0 * np.nan_to_num(frame.visibility, nan=1.0)).astype(np.uint8)
         np.testing.assert_array_equal(row.visibility, np.where(hidden, 255, shown))
-        clear = fill_steps(plan.steps_under("sun"), buffer, hazy, casters_of(hazy, buffer), (), PassLog())
+        clear = fill_steps(plan.steps_under("sun"), buffer, hazy, find_casters(hazy, buffer), (), PassLog())
         assert min(np.count_nonzero((clear < 0.5) & there) for there in (hidden, buffer.there & ~hidden)) > 50
         assert not (row.false_shadow | row.missed_shadow)[hidden].any()
         assert not compared.there[hidden].any()
@@ -155,8 +155,8 @@ def test_soft_edges_are_held_against_the_disc(gl, scene):
     plans = [plan_of(scene, view, algorithm="shadow_map", map_size=2048, filter=filter) for filter in (1, 3, "sun")]
     hard, taps, disc = (measure_plan(scene, view, plan).figures["soft_error"] for plan in plans)
     assert 0.0 < disc < min(hard, taps) < 0.05
-    buffer = geometry_of(scene, view)
-    real = soft_truth(buffer, scene, casters_of(scene, buffer))
+    buffer = geometry_buffer(scene, view)
+    real = soft_truth(buffer, scene, find_casters(scene, buffer))
     frame = render_frame(scene, view, plans[0])
     assert hard == pytest.approx(soft_error(frame.visibility, real), rel=0.1)
 
@@ -232,7 +232,7 @@ def test_a_texel_on_level_ground_is_what_steps_on_it_say(entries, point):
 def test_texels_of_a_perspective_map_follow_the_eye(gl, scene):
     """In the picture they are more even than one uniform map's, and smaller at their largest; twice as many are half as large."""
     view = scene.view("eye")
-    buffer: GeometryBuffer = geometry_of(scene, view)
+    buffer: GeometryBuffer = geometry_buffer(scene, view)
     floor = buffer.there & (buffer.height_m == 0.0)
     spread, largest = {}, {}
     for name in ("shadow_map", "perspective_shadow_map"):

@@ -11,11 +11,11 @@ from skugga.api.catalogue import find_level
 from skugga.selector.measure.point_truth import PictureTruth, PointCounts, lattice_offsets, share_interval
 from skugga.selector.measure.view_truth import TRUTH_SAMPLES
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.metrics import errors_of
-from skugga.shadows.truth.truth import ALL_KINDS, ray_scene, truth_of
-from skugga.terrain.casters.reach import casters_of
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.shadows.truth.metrics import error_metrics
+from skugga.shadows.truth.truth import ALL_KINDS, ray_scene, trace_truth
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.subsampled import subsampled_points, subsampled_view
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
@@ -42,8 +42,8 @@ def wooded() -> Scene:
 
 
 def picture_truth(scene: Scene, view) -> PictureTruth:
-    picture = geometry_of(scene, view)
-    return PictureTruth(scene, picture, casters_of(scene, picture), SUN)
+    picture = geometry_buffer(scene, view)
+    return PictureTruth(scene, picture, find_casters(scene, picture), SUN)
 
 
 @pytest.mark.parametrize("every", [1, 2, 4, 8])
@@ -60,13 +60,13 @@ def test_a_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
     scene = request.getfixturevalue(level)
     view = scene.view(name) if level == "scene" else scene.view(name, size=(240, 192))
     truth = picture_truth(scene, view)
-    whole = truth_of(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
+    whole = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
     assert truth.every == 2
     for number in (0, 3):
         lattice = truth.lattice(number)
         for field in ("lit", "attached", "there"):
-            assert np.array_equal(getattr(lattice.truth, field), lattice.of_picture(getattr(whole, field)))
-        differ = lattice.truth.decidable != lattice.of_picture(whole.decidable)
+            assert np.array_equal(getattr(lattice.truth, field), lattice.at_points(getattr(whole, field)))
+        differ = lattice.truth.decidable != lattice.at_points(whole.decidable)
         assert differ.mean() < 1e-3
 
 
@@ -96,7 +96,7 @@ def test_a_map_s_rays_are_walked_to_the_same_truth(gl, request, tmp_path, level,
     for number in (0, 3):
         found = truth.lattice(number).truth
         points = subsampled_points(truth.picture, truth.every, lattice_offsets(truth.every)[number])
-        expected = truth_of(points, scene, truth.casters, TRUTH_SAMPLES, rays=embree)
+        expected = trace_truth(points, scene, truth.casters, TRUTH_SAMPLES, rays=embree)
         both = found.decidable & expected.decidable
         assert np.array_equal(found.lit[both], expected.lit[both])
         assert (found.decidable != expected.decidable).mean() < 1e-3
@@ -108,12 +108,12 @@ def test_all_lattices_together_count_what_the_metrics_do(gl, scene, name):
     view = scene.view(name)
     truth = picture_truth(scene, view)
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=128, filter=1)
-    whole = truth_of(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
+    whole = trace_truth(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
     visibility = render_frame(scene, view, plan).visibility
-    expected = errors_of(visibility, whole, 1.0)
+    expected = error_metrics(visibility, whole, 1.0)
     dark = np.nan_to_num(visibility, nan=1.0) < 0.5
     total = PointCounts()
-    for number in range(truth.lattices):
+    for number in range(truth.lattice_count):
         total += truth.counts(truth.lattice(number), dark, (), 1.0)
     assert total.wrong_cast / total.cast == pytest.approx(expected.wrong_cast, rel=0.01) and expected.wrong_cast > 0.005
     assert total.inside / total.decided == pytest.approx(expected.interior, rel=0.02, abs=2e-5)

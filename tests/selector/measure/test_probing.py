@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skugga.selector.belief import SharedVariance
 from skugga.selector.choices import Choice
 from skugga.selector.cost.error_model import ExpectedErrors, SharedErrors, packaged_model
+from skugga.selector.gaussian_estimate import SharedVariance
 from skugga.selector.measure.point_truth import share_interval
-from skugga.selector.measure.probing import Proof, expected_gain, leader_of, probed
+from skugga.selector.measure.probing import ErrorMeasurement, expected_gain, leader_of, probe_options
 from skugga.selector.options import LightOptions, PredictedChoice
 from skugga.shadows.plan import Step
 from skugga.terrain.level.level import SUN
@@ -59,17 +59,19 @@ class Told:
         self.seconds += self.draw_s(self.candidates[which].ms)
         return None if self.candidates[which].refused else self.candidates[which].ms
 
-    def proof(self, which: int) -> Proof:
+    def measurement(self, which: int) -> ErrorMeasurement:
         real, count = self.candidates[which], self.points * 2**self.step
         if self.step == self.steps:
-            return Proof(real.error, real.error, real.error, real.interior, real.interior, real.interior, count)
+            return ErrorMeasurement(real.error, real.error, real.error, real.interior, real.interior, real.interior, count)
         limits = share_interval(round(real.error * count), count)
-        return Proof(real.error, *limits, real.interior, *share_interval(round(10 * real.interior * count), 10 * count), count)
+        return ErrorMeasurement(
+            real.error, *limits, real.interior, *share_interval(round(10 * real.interior * count), 10 * count), count
+        )
 
-    def more_points_s(self) -> float | None:
+    def add_points_s(self) -> float | None:
         return None if self.step == self.steps else 0.1 * 2**self.step
 
-    def more_points(self) -> None:
+    def add_points(self) -> None:
         self.seconds += 0.1 * 2**self.step
         self.step += 1
 
@@ -89,19 +91,19 @@ def options_of(candidates: list[Real]) -> LightOptions:
 
 
 def probe(candidates: list[Real], max_error: float, max_ms: float | None = None, budget_s: float | None = None, **told):
-    prover = Told(candidates, **told)
-    found = probed(options_of(candidates), prover, max_error, max_ms, budget_s)
-    return leader_of(found.options, max_error, max_ms), found, prover
+    prober = Told(candidates, **told)
+    found = probe_options(options_of(candidates), prober, max_error, max_ms, budget_s)
+    return leader_of(found.options, max_error, max_ms), found, prober
 
 
 def test_a_leader_that_keeps_its_promise_is_confirmed_at_once():
-    taken, found, prover = probe([Real(10.0, 0.005, 10.0, 0.005), Real(100.0, 0.001, 100.0, 0.001)], 0.03, budget_s=3.0)
-    assert (taken, prover.drawn, found.confirmed, prover.step) == (0, [0], True, 0)
+    taken, found, prober = probe([Real(10.0, 0.005, 10.0, 0.005), Real(100.0, 0.001, 100.0, 0.001)], 0.03, budget_s=3.0)
+    assert (taken, prober.drawn, found.confirmed, prober.step) == (0, [0], True, 0)
 
 
 def test_a_leader_that_misses_gives_way():
-    taken, found, prover = probe([Real(10.0, 0.005, 10.0, 0.08), Real(30.0, 0.001, 30.0, 0.001)], 0.03, budget_s=3.0)
-    assert (taken, prover.drawn, found.confirmed, found.leader_before) == (1, [0, 1], True, 0)
+    taken, found, prober = probe([Real(10.0, 0.005, 10.0, 0.08), Real(30.0, 0.001, 30.0, 0.001)], 0.03, budget_s=3.0)
+    assert (taken, prober.drawn, found.confirmed, found.initial_leader) == (1, [0, 1], True, 0)
 
 
 def test_one_that_is_worse_than_it_seems_makes_others_less_trusted():
@@ -114,25 +116,25 @@ def test_one_that_is_worse_than_it_seems_makes_others_less_trusted():
 
 def test_points_are_asked_for_until_it_is_plain():
     """2.8 % of a thousand points lie between 1.9 and 4.0 %: no verdict on 3 %. Of all of them they do."""
-    taken, found, prover = probe([Real(10.0, 0.005, 10.0, 0.028), Real(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=30.0)
-    assert taken == 0 and prover.step == 4 and found.confirmed
-    _, hasty, prover = probe([Real(10.0, 0.005, 10.0, 0.028), Real(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=0.15)
-    assert prover.step == 1 and not hasty.confirmed
+    taken, found, prober = probe([Real(10.0, 0.005, 10.0, 0.028), Real(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=30.0)
+    assert taken == 0 and prober.step == 4 and found.confirmed
+    _, hasty, prober = probe([Real(10.0, 0.005, 10.0, 0.028), Real(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=0.15)
+    assert prober.step == 1 and not hasty.confirmed
 
 
 def test_one_is_always_drawn_and_the_budget_ends_the_rest():
     candidates = [Real(500.0, 0.005, 500.0, 0.08), Real(900.0, 0.001, 900.0, 0.001)]
-    taken, found, prover = probe(candidates, 0.03, budget_s=0.1)
-    assert prover.drawn == [0] and not found.confirmed
+    taken, found, prober = probe(candidates, 0.03, budget_s=0.1)
+    assert prober.drawn == [0] and not found.confirmed
     assert taken == 1  # what was shown to miss is not taken where something else is expected to meet the target
 
 
 def test_what_refuses_the_view_after_all_is_left_out():
     candidates = [Real(10.0, 0.005, 10.0, 0.005, refused=True), Real(30.0, 0.001, 30.0, 0.001)]
-    taken, found, prover = probe(candidates, 0.03, budget_s=3.0)
-    assert (taken, prover.drawn, sorted(found.drawn)) == (1, [0, 1], [1])
+    taken, found, prober = probe(candidates, 0.03, budget_s=3.0)
+    assert (taken, prober.drawn, sorted(found.drawn)) == (1, [0, 1], [1])
     nothing = [Real(10.0, 0.005, 10.0, 0.005, refused=True)]
-    assert probed(options_of(nothing), Told(nothing), 0.03).options.numbers == []
+    assert probe_options(options_of(nothing), Told(nothing), 0.03).options.numbers == []
 
 
 def test_what_may_be_much_faster_is_tried():
@@ -150,7 +152,9 @@ def test_the_gain_of_what_is_known_is_what_is_saved():
     candidates = [Real(100.0, 0.001, 100.0, 0.001), Real(60.0, 0.001, 60.0, 0.001)]
     options = options_of(candidates)
     for which, real in enumerate(candidates):
-        options = options.after([Proof(real.error, real.error, real.error, 0.0, 0.0, 0.0, 1000).seen(f"c{which}", real.ms)])
+        options = options.after(
+            [ErrorMeasurement(real.error, real.error, real.error, 0.0, 0.0, 0.0, 1000).seen(f"c{which}", real.ms)]
+        )
     assert expected_gain(options, 1, 0, 0.01, None) == pytest.approx(0.4, abs=0.01)
     assert expected_gain(options, 0, 1, 0.01, None) == pytest.approx(0.0, abs=1e-3)
 
@@ -166,13 +170,13 @@ reals = st.lists(
 def test_a_plan_that_was_shown_to_miss_is_not_taken_where_another_is_expected_to_meet_the_target(
     candidates, max_error, max_ms, budget_s
 ):
-    taken, found, prover = probe(candidates, max_error, max_ms, budget_s)
-    assert len(set(prover.drawn)) == len(prover.drawn) >= 1
+    taken, found, prober = probe(candidates, max_error, max_ms, budget_s)
+    assert len(set(prober.drawn)) == len(prober.drawn) >= 1
     forecasts = found.options.forecasts(max_error)
     if forecasts[taken].miss_chance(max_ms) > 0.5:
         assert all(one.miss_chance(max_ms) > 0.5 for one in forecasts)
-    if budget_s is not None and len(prover.drawn) > 1:
-        assert prover.seconds <= budget_s + max(real.ms for real in candidates) / 1000.0  # a time that was foreseen too short
+    if budget_s is not None and len(prober.drawn) > 1:
+        assert prober.seconds <= budget_s + max(real.ms for real in candidates) / 1000.0  # a time that was foreseen too short
 
 
 @settings(deadline=None)

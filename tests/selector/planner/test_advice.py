@@ -15,18 +15,18 @@ from skugga.selector.choices import Choice, StandaloneRequest
 from skugga.selector.planner import advice
 from skugga.selector.planner.advice import NO_RULE, choices_by_rules
 from skugga.selector.planner.advice_rules import (
-    BEHIND_DEG,
     CLOSED_SHARE,
     COARSE_TEXEL_PX,
-    COMPLEX_LAYERS,
-    FEW_TRIANGLES,
     LEAST_GAIN,
-    LITTLE_SEEN,
-    MAPS_ERROR,
+    MAX_FEW_TRIANGLES,
+    MAX_SMALL_SHADOW_SHARE,
+    MAX_VISIBLE_LIT_SHARE,
+    MIN_BEHIND_ANGLE_DEG,
+    MIN_COMPLEX_LAYERS,
+    REFERENCE_MAP_TEXELS,
     RULES,
     SHARP_TEXEL_PX,
-    SMALL_SHADOW,
-    USUAL_TEXELS,
+    TYPICAL_MAP_ERROR,
     RuleInput,
 )
 from skugga.selector.planner.planner import make_plan
@@ -57,7 +57,7 @@ def sun_over(*casters: str, **keys: Any) -> Descriptor:
         "view": "by hand", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": PIXEL, "node_m": 1.0,
         "casters": casters, "relief_m": 50.0 if "relief" in casters else 0.0, "block_relief_m": 50.0,
         "sun_azimuth_deg": 200.0, "sun_altitude_deg": 30.0, "highest_sun_deg": 30.0,
-        "receivers_light_m": (TEXEL_M * USUAL_TEXELS, 300.0, 500.0), "bands": [band(16.0, 32.0), band(512.0, 1024.0)],
+        "receivers_light_m": (TEXEL_M * REFERENCE_MAP_TEXELS, 300.0, 500.0), "bands": [band(16.0, 32.0), band(512.0, 1024.0)],
     }  # fmt: skip
     return Descriptor.model_validate(given | keys)
 
@@ -79,30 +79,30 @@ def near_by(texel_px: float, **facts: Any) -> dict[str, LightFacts]:
     return light(nearest_edge_m=TEXEL_M / PIXEL / texel_px, **facts)
 
 
-def choices_of(descriptor: Descriptor, **asked: Any) -> dict[str, Choice]:
+def choices_from_plan(descriptor: Descriptor, **asked: Any) -> dict[str, Choice]:
     """What the rules take for all lights."""
     return choices_by_rules(descriptor, Shadows(**asked), descriptor.light_kinds)
 
 
 def taken(descriptor: Descriptor, kind: str = "meshes", of: str = "sun", **asked: Any) -> str:
-    return choices_of(descriptor, **asked)[of].algorithm[kind]
+    return choices_from_plan(descriptor, **asked)[of].algorithm[kind]
 
 
 def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> str | None:
     """The name of the first rule that applies and can be served."""
     case = RuleInput(descriptor, of, kind, Shadows())
-    names = (rule.name for rule in RULES if can_serve(rule.takes, descriptor, of, kind) and rule.applies(case))
+    names = (rule.name for rule in RULES if can_serve(rule.algorithm, descriptor, of, kind) and rule.reason_for(case))
     return next(names, None)
 
 
 def test_a_descriptor_of_which_little_is_known_breaks_nothing():
     """A rule whose facts are not known does not apply: what is left is a map."""
     for descriptor in (sun_over("meshes"), sun_over("meshes", bands=[], pixel=None, receivers_light_m=None)):
-        choice = choices_of(descriptor)["sun"]
+        choice = choices_from_plan(descriptor)["sun"]
         assert choice.algorithm == {"meshes": "shadow_map"} and choice.why == {"meshes": NO_RULE}
     round_earth = sun_over("relief", flat_world=False)  # how much ground there is to sweep is not known
     assert rule_of(round_earth, "relief") is None
-    assert choices_of(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None))
+    assert choices_from_plan(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None))
 
 
 @pytest.mark.parametrize("descriptor", [sun_over("relief", "meshes"), map_over("relief", "meshes")])
@@ -127,17 +127,17 @@ def test_ground_is_swept_as_far_as_rays_are_straight():
     assert taken(small, "relief") == "sweep"  # all of the level, in large pixels
     assert taken(map_over("relief", pixel_m=1e4), "relief") == "sweep"  # a flat world bends nothing
     # In perspective all of the level: square, and of 512 m x 300 m / sin 30 degrees that are seen.
-    seen = TEXEL_M * USUAL_TEXELS * 300.0 / 0.5 / MAX_STRAIGHT_M**2
-    for share, algorithm in ((1.001 * seen, "sweep"), (0.999 * seen, "perspective_shadow_map")):
+    light_facts = TEXEL_M * REFERENCE_MAP_TEXELS * 300.0 / 0.5 / MAX_STRAIGHT_M**2
+    for share, algorithm in ((1.001 * light_facts, "sweep"), (0.999 * light_facts, "perspective_shadow_map")):
         assert taken(sun_over("relief", flat_world=False, lights=light(area_share=share)), "relief") == algorithm
 
 
 def test_perfect_shadows_take_volumes_but_for_leaves():
     """Ground is swept all the same, which has no texels either."""
     descriptor = sun_over("relief", "meshes", "forest")
-    strict = choices_of(descriptor, max_error=0.9 * MAPS_ERROR)["sun"]
+    strict = choices_from_plan(descriptor, max_error=0.9 * TYPICAL_MAP_ERROR)["sun"]
     assert strict.algorithm == {"relief": "sweep", "meshes": "shadow_volume", "forest": "shadow_map"}
-    assert taken(descriptor, max_error=MAPS_ERROR) == "shadow_map"
+    assert taken(descriptor, max_error=TYPICAL_MAP_ERROR) == "shadow_map"
 
 
 @pytest.mark.parametrize(
@@ -161,8 +161,8 @@ def test_leaves_go_by_a_map_and_all_else_with_them():
 
 def test_few_polygons_of_closed_meshes_take_volumes():
     for triangles, closed, algorithm in (
-        (FEW_TRIANGLES, CLOSED_SHARE, "shadow_volume"), (FEW_TRIANGLES + 1, 1.0, "shadow_map"),
-        (FEW_TRIANGLES, 0.9 * CLOSED_SHARE, "shadow_map"), (0, 1.0, "shadow_map"),
+        (MAX_FEW_TRIANGLES, CLOSED_SHARE, "shadow_volume"), (MAX_FEW_TRIANGLES + 1, 1.0, "shadow_map"),
+        (MAX_FEW_TRIANGLES, 0.9 * CLOSED_SHARE, "shadow_map"), (0, 1.0, "shadow_map"),
     ):  # fmt: skip
         descriptor = sun_over("meshes", stands=[stand(triangles=triangles, closed_share=closed)])
         assert taken(descriptor) == algorithm
@@ -173,38 +173,44 @@ def test_few_polygons_of_closed_meshes_take_volumes():
 
 def test_a_narrow_lamp_takes_a_map():
     """A texel's width where the lamp is aimed, by arithmetic: 2 x 40 m x tan(cutoff) / 1024, of pixels of 0.05 m."""
-    seen = {"lights": {"lamp": LightFacts(nearest_edge_m=0.1, volume_layers=100.0)}}
-    sharp_deg = float(np.degrees(np.arctan(SHARP_TEXEL_PX * 0.05 * USUAL_TEXELS / 80.0)))
+    light_facts = {"lights": {"lamp": LightFacts(nearest_edge_m=0.1, volume_layers=100.0)}}
+    sharp_deg = float(np.degrees(np.arctan(SHARP_TEXEL_PX * 0.05 * REFERENCE_MAP_TEXELS / 80.0)))
     for cutoff_deg, name in ((0.99 * sharp_deg, "narrow light"), (1.01 * sharp_deg, "complex shadows from near")):
-        descriptor = sun_over("meshes", lamps=[LAMP | {"cutoff_deg": cutoff_deg}], pixel_m=0.05, **seen)
+        descriptor = sun_over("meshes", lamps=[LAMP | {"cutoff_deg": cutoff_deg}], pixel_m=0.05, **light_facts)
         assert rule_of(descriptor, of="lamp") == name
     assert rule_of(sun_over("meshes", pixel_m=0.05)) is None  # the sun is no lamp
 
 
 def test_a_small_shadowed_area_takes_a_map():
-    for share, name in ((SMALL_SHADOW, "small shadowed area"), (1.01 * SMALL_SHADOW, "complex shadows from near")):
-        lights = near_by(2 * COARSE_TEXEL_PX, volume_layers=2 * COMPLEX_LAYERS, casts={"meshes": {"share": share}})
+    for share, name in (
+        (MAX_SMALL_SHADOW_SHARE, "small shadowed area"),
+        (1.01 * MAX_SMALL_SHADOW_SHARE, "complex shadows from near"),
+    ):
+        lights = near_by(2 * COARSE_TEXEL_PX, volume_layers=2 * MIN_COMPLEX_LAYERS, casts={"meshes": {"share": share}})
         assert rule_of(sun_over("meshes", lights=lights)) == name
 
 
 def test_a_light_behind_the_camera_takes_a_map():
-    for to_view_deg, name in ((BEHIND_DEG, "light near the camera"), (BEHIND_DEG - 1.0, "complex shadows from near")):
-        lights = near_by(2 * COARSE_TEXEL_PX, volume_layers=2 * COMPLEX_LAYERS, to_view_deg=to_view_deg)
+    for to_view_deg, name in (
+        (MIN_BEHIND_ANGLE_DEG, "light near the camera"),
+        (MIN_BEHIND_ANGLE_DEG - 1.0, "complex shadows from near"),
+    ):
+        lights = near_by(2 * COARSE_TEXEL_PX, volume_layers=2 * MIN_COMPLEX_LAYERS, to_view_deg=to_view_deg)
         assert rule_of(sun_over("meshes", lights=lights)) == name
 
 
 def test_near_and_complex_shadows_take_the_hybrid_and_far_ones_a_map():
     for texel_px, layers, name in (
-        (1.01 * COARSE_TEXEL_PX, COMPLEX_LAYERS, "complex shadows from near"), (1.01 * COARSE_TEXEL_PX, 0.9 * COMPLEX_LAYERS, None),
-        (0.99 * COARSE_TEXEL_PX, COMPLEX_LAYERS, "far from every edge"), (0.99 * COARSE_TEXEL_PX, 0.0, "far from every edge"),
+        (1.01 * COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "complex shadows from near"), (1.01 * COARSE_TEXEL_PX, 0.9 * MIN_COMPLEX_LAYERS, None),
+        (0.99 * COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "far from every edge"), (0.99 * COARSE_TEXEL_PX, 0.0, "far from every edge"),
     ):  # fmt: skip
         assert rule_of(sun_over("meshes", lights=near_by(texel_px, volume_layers=layers))) == name
 
 
 def test_little_seen_of_much_takes_a_perspective_map():
     for share, far_m, name in (
-        (LITTLE_SEEN, 1024.0, "small part of the lit area seen"), (1.01 * LITTLE_SEEN, 1024.0, None),
-        (LITTLE_SEEN, 16.0 * LEAST_GAIN, "small part of the lit area seen"), (LITTLE_SEEN, 15.0 * LEAST_GAIN, None),
+        (MAX_VISIBLE_LIT_SHARE, 1024.0, "small part of the lit area seen"), (1.01 * MAX_VISIBLE_LIT_SHARE, 1024.0, None),
+        (MAX_VISIBLE_LIT_SHARE, 16.0 * LEAST_GAIN, "small part of the lit area seen"), (MAX_VISIBLE_LIT_SHARE, 15.0 * LEAST_GAIN, None),
     ):  # fmt: skip
         bands = [band(16.0, 32.0), band(32.0, far_m)]
         assert rule_of(sun_over("meshes", bands=bands, lights=near_by(2 * COARSE_TEXEL_PX, area_share=share))) == name
@@ -231,7 +237,7 @@ def test_what_is_advised_is_always_served_and_always_has_a_reason(
         *casters, flat_world=flat, bend_px=bend_px, lamps=[lamp], lights={"sun": facts, "lamp": of_lamp},
         stands=[stand(triangles=triangles, closed_share=closed)],
     )  # fmt: skip
-    choices = choices_of(descriptor, max_error=max_error)
+    choices = choices_from_plan(descriptor, max_error=max_error)
     assert list(choices) == ["sun", "lamp"]
     for of, choice in choices.items():
         assert set(choice.algorithm) == set(choice.why) == set(casters)
@@ -245,13 +251,13 @@ def test_what_is_advised_is_always_served_and_always_has_a_reason(
 
 def test_every_rule_has_a_name_and_a_source_of_its_own_and_serves_what_it_takes():
     assert len({rule.name for rule in RULES}) == len(RULES) and all(rule.source for rule in RULES)
-    assert {rule.takes for rule in RULES} == {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "sweep"}
+    assert {rule.algorithm for rule in RULES} == {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "sweep"}
 
 
 def test_the_page_of_the_algorithms_lists_the_rules_in_their_order():
     text = Path("docs/algorithms.md").read_text(encoding="utf-8")
     table = text[text.index("## Left to the rules") : text.index("## `shadow_map`")]
-    assert re.findall(r"^\| ([^|]+) \| `(\w+)` \|", table, re.MULTILINE) == [(rule.name, rule.takes) for rule in RULES]
+    assert re.findall(r"^\| ([^|]+) \| `(\w+)` \|", table, re.MULTILINE) == [(rule.name, rule.algorithm) for rule in RULES]
 
 
 SCENES = {

@@ -56,9 +56,7 @@ def test_what_is_not_taken_is_refused_or_comes_after_what_is(scene):
     said = reasons_of(plan_of(scene, scene.view()))
     assert said["perspective_shadow_map"] == ALGORITHMS["perspective_shadow_map"].refuses["map"]
     assert said["shadow_volume"] == f"sweep was preferred: {said['sun/relief: sweep']}"
-    assert (
-        said["truth"] == ALGORITHMS["truth"].about and said["none"] == "there are casters and light, so there are shadows to draw"
-    )
+    assert said["truth"] == ALGORITHMS["truth"].about and said["none"] == "the view has casters and light, so shadows are drawn"
     choices = {"sun": Choice("mine", {"relief": "hybrid"}, why={"relief": "it is mine"})}
     given = {"sweep": "12 ms more", "perspective_shadow_map": "not asked"}
     plan = make_plan(describe(scene, scene.view()), scene.loaded.level, choices=choices, rejected=given)
@@ -99,7 +97,7 @@ def test_overrides_win_and_are_named(scene):
     plan = of_level(effects={"cast_shadows": "off"})
     left_out = {item.name: item.reason for item in plan.left_out}
     assert plan.headline == "none" and "forced off by the level" in left_out["cast_shadows"]
-    assert "needs cast_shadows, left out here" in left_out["soft_edges"]
+    assert "needs cast_shadows, which is left out" in left_out["soft_edges"]
 
 
 def test_settings_that_are_asked_for_are_named(scene):

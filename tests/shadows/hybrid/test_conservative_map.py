@@ -44,7 +44,7 @@ def turned(triangles: np.ndarray) -> np.ndarray:
     return np.where((area < 0)[:, None, None], triangles[:, ::-1], triangles)
 
 
-def layers_before(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+def mean_volume_layers(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """How many triangles (t, 3, 3) int64, their borders included, lie truly before points (n, 3) int64: exact."""
     count = np.zeros(len(points), np.int64)
     for corners in triangles:
@@ -116,7 +116,7 @@ def test_what_is_certain_is_so(seed: int) -> None:
     rng = np.random.default_rng(seed)
     triangles = soup(rng)
     points = anywhere(triangles, 3000, rng)
-    before = layers_before(triangles, points)
+    before = mean_volume_layers(triangles, points)
     moved = rng.uniform(-1e-6, 1e-6, (2, len(points)))  # as rounding does
     found = classify_points(
         known_of(triangles), points[:, 0] / GRID + moved[0], points[:, 1] / GRID + moved[1], points[:, 2] / GRID, 1e-9
@@ -131,7 +131,7 @@ def test_what_is_certain_of_points_on_casters_is_so(seed: int) -> None:
     rng = np.random.default_rng(seed)
     triangles = soup(rng)
     points = on(triangles, 3000, rng)
-    before = layers_before(triangles, points)
+    before = mean_volume_layers(triangles, points)
     found = classify_points(known_of(triangles), *(points / GRID).T, 1e-9, on_caster=True)
     assert not before[found == LIT].any()
     assert (before[found == SHADED] > 0).all()

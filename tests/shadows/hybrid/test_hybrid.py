@@ -131,7 +131,7 @@ def test_the_original_mask_is_near_truth_where_nothing_is_thin(gl, tmp_path, lig
 def test_what_is_marked_is_put_on_record(gl, tmp_path):
     """Pixels and tiles of the picture; the map is kept as the volumes are."""
     at = look(level_of(tmp_path, [BODIES["one through another"]], 200, 35, **BEHIND))
-    log = PassLog(wanted=frozenset({"silhouettes", "stencil"}))
+    log = PassLog(requested_layers=frozenset({"silhouettes", "stencil"}))
     at.seen("conservative", log)
     layers = log.take()
     marks, counts = layers["silhouettes", "sun"][0], layers["stencil", "sun"][0]

@@ -8,12 +8,12 @@ import trimesh
 from scipy.ndimage import binary_dilation
 
 from skugga.shadows.attached import attached
-from skugga.shadows.truth.truth import Truth, truth_of
-from skugga.terrain.casters.reach import casters_of
+from skugga.shadows.truth.truth import Truth, trace_truth
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import MESHES, RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 from tests.shadows.boxes import box, level_of, visibility
@@ -36,7 +36,7 @@ def shaded(make_scene, raster, azimuth: float, altitude: float, **how) -> float:
     """Share of a plane's pixels that are not wholly lit; the sun faces the plane."""
     scene = make_scene(raster, azimuth, altitude)
     view = scene.view(bounds=(-300, -300, 300, 300), size=(120, 120))
-    assert not attached(geometry_of(scene, view), scene).any()
+    assert not attached(geometry_buffer(scene, view), scene).any()
     return float((visibility(scene, view, map_size=512, **how)[0] < 1.0).mean())
 
 
@@ -74,7 +74,7 @@ def test_shadows_are_right_away_from_their_edges(gl, tmp_path, bias, light):
     scene = level_of(tmp_path, [box((9, 6, 5)), box((3, 3, 3), 0, (-6, -5))], 110, 28, views={"eye": EYE}, lights={"lamp": SPOT})
     view = scene.view("eye")
     seen, buffer = visibility(scene, view, light, bias=bias, filter=1, map_size=4096)
-    real = truth_of(buffer, scene, casters_of(scene, buffer), light=light)
+    real = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
     assert (real.there & ~real.lit & ~real.attached).mean() > 0.03
     assert not wrong_inside(seen, real, buffer).any()
 
@@ -126,7 +126,7 @@ def test_only_what_is_closed_is_culled(gl, tmp_path):
     sheet = trimesh.Trimesh([[6, -8, 3], [10, -8, 3], [10, -4, 3], [6, -4, 3]], [[0, 1, 2], [0, 2, 3]], process=False)
     both = level_of(tmp_path, [box((4, 4, 4), 0, (-9, 5)), sheet], 110, 28, views={"eye": EYE})
     seen, buffer = visibility(both, both.view("eye"), culling="front", filter=1, map_size=4096)
-    real = truth_of(buffer, both, casters_of(both, buffer))
+    real = trace_truth(buffer, both, find_casters(both, buffer))
     assert not wrong_inside(seen, real, buffer).any()
 
 

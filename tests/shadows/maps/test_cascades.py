@@ -16,14 +16,14 @@ from skugga.shadows.maps import shadow_map
 from skugga.shadows.maps.resolve import CASCADE_PX, LARGEST_MAP
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
-from skugga.shadows.truth.metrics import errors_of
-from skugga.shadows.truth.truth import truth_of
+from skugga.shadows.truth.metrics import error_metrics
+from skugga.shadows.truth.truth import trace_truth
 from skugga.shadows.visibility import receivers_of
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Band
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import Level, load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
@@ -61,17 +61,17 @@ def plan_for(scene: Scene, **asked) -> Plan:
 @pytest.mark.parametrize(("azimuth", "altitude"), [(300, 15), (100, 10)])
 def test_four_cascades_halve_the_displacement_of_edges_in_the_memory_of_one_map(gl, mountains, azimuth, altitude):
     scene = mountains.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-    away_m = [band.far_m for band in describe(scene, scene.view("main"), "main").bands]
-    assert away_m[0] <= 128 and away_m[-1] >= 16_384
-    buffer = geometry_of(scene, scene.view("main"))
-    casters = casters_of(scene, buffer)
-    truth, found = truth_of(buffer, scene, casters), {}
+    distance_m = [band.far_m for band in describe(scene, scene.view("main"), "main").bands]
+    assert distance_m[0] <= 128 and distance_m[-1] >= 16_384
+    buffer = geometry_buffer(scene, scene.view("main"))
+    casters = find_casters(scene, buffer)
+    truth, found = trace_truth(buffer, scene, casters), {}
     for count, size in ((1, 1024), (4, 512)):
         (step,) = plan_for(scene, cascades=count, map_size=size, depth_bits=24).steps
         assert len(step.settings.cascades) == count
         seen = shadow_map.fill(receivers_of(buffer, scene, "sun"), scene, step.light, step.kinds, casters, step.settings, PassLog())
         seen[attached(buffer, scene)] = 0.0
-        found[count] = errors_of(seen, truth, 1.0)
+        found[count] = error_metrics(seen, truth, 1.0)
     assert found[1].edge_p95 > 1.0
     assert found[4].edge_p95 <= 0.5 * found[1].edge_p95
     assert found[4].wrong_cast <= 0.5 * found[1].wrong_cast

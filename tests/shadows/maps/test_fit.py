@@ -13,13 +13,13 @@ from skugga.shadows.maps import shadow_map
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap, sun_maps
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
-from skugga.shadows.truth.metrics import errors_of
-from skugga.shadows.truth.truth import truth_of
+from skugga.shadows.truth.metrics import error_metrics
+from skugga.shadows.truth.truth import trace_truth
 from skugga.shadows.visibility import receivers_of
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import load_level
@@ -52,10 +52,10 @@ def plan_for(scene: Scene, view: MapView | PerspectiveView, **asked) -> Plan:
 
 def dark_in(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Which pixels of a view, drawn as one block, are in shadow, and where there is ground."""
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     (step,) = plan.steps
     receivers = receivers_of(buffer, scene, step.light)
-    seen = shadow_map.fill(receivers, scene, step.light, step.kinds, casters_of(scene, buffer), step.settings, PassLog())
+    seen = shadow_map.fill(receivers, scene, step.light, step.kinds, find_casters(scene, buffer), step.settings, PassLog())
     return (seen < 0.5) | attached(buffer, scene), buffer.there
 
 
@@ -132,7 +132,7 @@ def test_tight_windows_hold_their_receivers_and_are_never_coarser(jacksboro, azi
     eye, up = scene.place.above_ground((-84.25, 36.2933, 120.0), "eye")
     target, _ = scene.place.above_ground((-84.25 + heading[0], 36.2933 + heading[1], 0.0), "target")
     view = look_at(eye, target, up, 40.0, 60, 80)
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     asked = {"map_size": map_size, "cascades": cascades, "depth_bits": bits}
     stable, tight = (maps_of(scene, buffer, plan_for(scene, view, fit=fit, **asked)) for fit in ("stable", "tight"))
     assert len(stable) == len(tight) > 0
@@ -151,10 +151,10 @@ def test_tight_windows_hold_their_receivers_and_are_never_coarser(jacksboro, azi
 def test_tight_fit_gains_accuracy(gl, jacksboro):
     """A view smaller than a block: all texels are for what is seen of it."""
     view = ground_round_the_middle(jacksboro).part(60, 60, 120, 120)
-    buffer = geometry_of(jacksboro, view)
-    truth, found = truth_of(buffer, jacksboro, casters_of(jacksboro, buffer)), {}
+    buffer = geometry_buffer(jacksboro, view)
+    truth, found = trace_truth(buffer, jacksboro, find_casters(jacksboro, buffer)), {}
     for fit in ("stable", "tight"):
         dark, _ = dark_in(jacksboro, view, plan_for(jacksboro, view, map_size=256, fit=fit))
-        found[fit] = errors_of(1.0 - dark, truth, 1.0)
+        found[fit] = error_metrics(1.0 - dark, truth, 1.0)
     assert found["tight"].wrong_cast < 0.5 * found["stable"].wrong_cast
     assert found["tight"].edge_mean < found["stable"].edge_mean

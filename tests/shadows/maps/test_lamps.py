@@ -12,11 +12,11 @@ import trimesh
 
 from skugga.shadows.attached import attached
 from skugga.shadows.render import Frame
-from skugga.shadows.truth.metrics import MOST_INTERIOR, errors_of
-from skugga.shadows.truth.truth import truth_of
-from skugga.terrain.casters.reach import casters_of
+from skugga.shadows.truth.metrics import MOST_INTERIOR, error_metrics
+from skugga.shadows.truth.truth import trace_truth
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import render, render_points
@@ -81,8 +81,8 @@ def test_a_box_below_a_lamp_throws_its_projected_square(gl, floor, make_scene, t
     # Beside the lamp an omni light's texels lie aslant on the floor: longer by its distance over its height, squared.
     slant = 1.0 if kind == "spot" else max(1.0, (np.hypot(x, y).max() / 12.0) ** 2)
     texel_m = 1e-3 if algorithm == "truth" else 2 * tangent * 12 / 1000 * slant
-    in_cone = np.hypot(x, y) < (1e9 if kind == "omni" else 12 * np.tan(np.radians(59.9)))
-    check(frame, in_cone & (frame.height_m < 1e-3), beyond(x, y, shadow), texel_m)
+    in_frustum = np.hypot(x, y) < (1e9 if kind == "omni" else 12 * np.tan(np.radians(59.9)))
+    check(frame, in_frustum & (frame.height_m < 1e-3), beyond(x, y, shadow), texel_m)
 
 
 @pytest.mark.parametrize("cutoff", [10.0, 35.0, 65.0, 84.0])
@@ -222,9 +222,9 @@ def test_the_map_of_a_lamp_agrees_with_truth(gl, grove, light, kind):
     """No error inside of shadows or of light, on ground, walls and trees alike, and few at their borders."""
     view = grove.view("eye") if kind == "perspective" else grove.view(bounds=(-40, -40, 40, 40), size=(211, 211))
     frame = render_points(grove, view, algorithm="shadow_map", map_size=2048, filter=1)
-    buffer = geometry_of(grove, view)
-    real = truth_of(buffer, grove, casters_of(grove, buffer), light=light)
-    found = errors_of(frame.visibilities[light], real, describe(grove, view).pixel_m, 1.0)
+    buffer = geometry_buffer(grove, view)
+    real = trace_truth(buffer, grove, find_casters(grove, buffer), light=light)
+    found = error_metrics(frame.visibilities[light], real, describe(grove, view).pixel_m, 1.0)
     cast = ~real.lit & ~real.attached & real.there
     assert 0.02 < cast.sum() / real.there.sum() < 0.8 and real.decidable.mean() > 0.3
     assert found.interior <= MOST_INTERIOR and found.wrong < 0.02 and found.wrong_cast < 0.05

@@ -10,11 +10,11 @@ from scipy.ndimage import binary_dilation, minimum_filter
 
 from skugga.shadows.area_light import sun_disc
 from skugga.shadows.attached import attached
-from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGES, WIDEST_TEXELS, samples_before_edges
-from skugga.terrain.casters.reach import casters_of
+from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGE_STEPS, WIDEST_TEXELS, samples_before_edges
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import UnsupportedError
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
@@ -30,8 +30,8 @@ ALTITUDE = 50.0
 
 def soft(scene: Scene, view: View) -> np.ndarray:
     """Visibility of the sun's disc by rays, attached shadow included."""
-    buffer = geometry_of(scene, view)
-    real = soft_truth(buffer, scene, casters_of(scene, buffer))
+    buffer = geometry_buffer(scene, view)
+    real = soft_truth(buffer, scene, find_casters(scene, buffer))
     return np.where(attached(buffer, scene) & buffer.there, 0.0, real)
 
 
@@ -53,8 +53,8 @@ def profile(folder, height_m: float, width_m: float, **overrides) -> tuple[np.nd
     half = width_m / 2
     view = scene.view(bounds=(-half, north - half / 16, half, north + half / 16), size=(320, 20))
     seen, buffer = visibility(scene, view, filter="sun", **overrides)
-    away_m = height_m / np.sin(np.radians(ALTITUDE))
-    u = np.clip(-buffer.position_frame_m[10, :, 0] / (away_m * DISC_TANGENT), -1.0, 1.0)
+    distance_m = height_m / np.sin(np.radians(ALTITUDE))
+    u = np.clip(-buffer.position_frame_m[10, :, 0] / (distance_m * DISC_TANGENT), -1.0, 1.0)
     return seen, (np.arccos(u) - u * np.sqrt(1.0 - u**2)) / np.pi
 
 
@@ -124,10 +124,10 @@ def test_the_samples_are_the_rays_of_truth():
     away = np.hypot(rays[:, 0], rays[:, 2]) / -rays[:, 1] / DISC_TANGENT
     angle = np.arange(DISC_SAMPLES) * np.pi * (3.0 - 5.0**0.5)
     for bits, place in zip(samples_before_edges(), (away * np.cos(angle), away * np.sin(angle)), strict=True):
-        assert bits.shape == (EDGES + 1, 4) and bits.dtype == np.uint32
-        for number in (0, 13, 64, 100, EDGES):
+        assert bits.shape == (EDGE_STEPS + 1, 4) and bits.dtype == np.uint32
+        for number in (0, 13, 64, 100, EDGE_STEPS):
             set_bits = [bool(bits[number, k // 32] >> np.uint32(k % 32) & np.uint32(1)) for k in range(DISC_SAMPLES)]
-            np.testing.assert_array_equal(set_bits, place < 2.0 * number / EDGES - 1.0)
+            np.testing.assert_array_equal(set_bits, place < 2.0 * number / EDGE_STEPS - 1.0)
 
 
 # -- scenes
@@ -212,5 +212,5 @@ def test_lamps_have_no_disc(tmp_path):
     settings = plan_of(scene, scene.view("eye"), filter="sun").settings
     assert (settings["sun"]["meshes"].filter, settings["lamp"]["meshes"].filter) == ("sun", 3)
     scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE}, lights={"lamp": lamp}, sun="none")
-    with pytest.raises(UnsupportedError, match="sun.* cannot be served.*lamp"):
+    with pytest.raises(UnsupportedError, match="filter: 'sun' is not supported here: the lamp 'lamp' has no radius"):
         plan_of(scene, scene.view("eye"), filter="sun")

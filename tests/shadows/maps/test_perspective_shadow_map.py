@@ -17,14 +17,14 @@ from skugga.shadows.maps import perspective_shadow_map
 from skugga.shadows.maps.post_perspective import CONE_DEG
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.passes import PassLog
-from skugga.shadows.truth.metrics import MOST_INTERIOR, errors_of
-from skugga.shadows.truth.truth import coverage_truth, truth_of
+from skugga.shadows.truth.metrics import MOST_INTERIOR, error_metrics
+from skugga.shadows.truth.truth import coverage_truth, trace_truth
 from skugga.shadows.visibility import receivers_of
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
@@ -44,7 +44,7 @@ def fill(
     settings = PerspectiveMapSettings(**{"map_size": 1024, "depth_bits": 24 if light == "sun" else 32, "filter": 1, **how})
     log = PassLog()
     receivers = receivers_of(buffer, scene, light)
-    seen = perspective_shadow_map.fill(receivers, scene, light, kinds, casters_of(scene, buffer), settings, log)
+    seen = perspective_shadow_map.fill(receivers, scene, light, kinds, find_casters(scene, buffer), settings, log)
     seen[attached(buffer, scene, light)] = 0.0
     seen[~buffer.there] = np.nan
     return seen, log
@@ -71,7 +71,7 @@ def test_planes_are_lit_whatever_their_slope(gl, write_raster, make_scene, slope
         views = {"eye": {"kind": "perspective", "eye": [10, -40, 12], "target": [0, 30, 3], "fov": 50, "size": [120, 90]}}
         lamp = {"kind": "spot", "position": [-20, 10, 9], "target": [0, 0, 0], "cutoff": 80}
         scene = make_scene(raster, towards + aside, altitude, views=views, lights={"lamp": lamp})
-        buffer = geometry_of(scene, scene.view("eye"))
+        buffer = geometry_buffer(scene, scene.view("eye"))
         for light in ("sun", "lamp"):
             for taps in (1, 2, 3, 5) if bits == 24 else (3,):
                 seen, _ = fill(buffer, scene, light, filter=taps, depth_bits=bits, map_size=256)
@@ -84,7 +84,7 @@ def test_a_plane_that_faces_the_sun_has_no_depth_and_no_acne(gl, write_raster, m
     raster = plane(write_raster, 40, 180)
     views = {"eye": {"kind": "perspective", "eye": [100, -200, 12], "target": [-100, 30, 3], "fov": 50, "size": [120, 90]}}
     scene = make_scene(raster, 180, 50, views=views)
-    buffer = geometry_of(scene, scene.view("eye"))
+    buffer = geometry_buffer(scene, scene.view("eye"))
     for bits in (16, 24, 32):
         assert (fill(buffer, scene, "sun", depth_bits=bits)[0][buffer.there] == 1.0).all()
 
@@ -93,7 +93,7 @@ def test_without_bias_there_is_acne(gl, write_raster, make_scene):
     raster = plane(write_raster, 40, 203)
     views = {"eye": {"kind": "perspective", "eye": [10, -40, 12], "target": [0, 30, 3], "fov": 50, "size": [120, 90]}}
     scene = make_scene(raster, 260, 20, views=views)
-    buffer = geometry_of(scene, scene.view("eye"))
+    buffer = geometry_buffer(scene, scene.view("eye"))
     assert (fill(buffer, scene, "sun", bias_scale=0.0)[0] < 1.0).mean() > 0.02
 
 
@@ -109,10 +109,10 @@ def surroundings(folder: Path, azimuth: float, altitude: float, **keys) -> Scene
 
 def check_against_truth(scene: Scene, light: str) -> None:
     view = scene.view("eye")
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     seen, log = fill(buffer, scene, light, map_size=2048)
-    real = truth_of(buffer, scene, casters_of(scene, buffer), light=light)
-    found = errors_of(seen, real, describe(scene, view, "eye").pixel_m)
+    real = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
+    found = error_metrics(seen, real, describe(scene, view, "eye").pixel_m)
     assert (real.there & ~real.lit & ~real.attached).mean() > 0.005 and real.decidable.mean() > 0.5
     assert found.interior <= MOST_INTERIOR and found.interior_parts == 0, (light, found, log.records)
     assert found.edge_p95 <= 1.5 and found.missed_shadow < 0.02 and found.wrong_cast < 0.03  # interior sees no thin shadow
@@ -142,7 +142,7 @@ def test_a_tower_behind_the_eye_throws_its_shadow_into_the_view(gl, tmp_path):
     """Of half its width and all its length: the sun in the south at 45 degrees, its foot 5 m behind the eye, 30 m high."""
     eye = {"kind": "perspective", "eye": [0, -20, 3], "target": [0, 0, 0], "fov": 60, "size": [240, 180]}
     scene = level_of(tmp_path, [box((4, 2, 30), 0, (0, -26))], 180, 45, views={"eye": eye})
-    buffer = geometry_of(scene, scene.view("eye"))
+    buffer = geometry_buffer(scene, scene.view("eye"))
     dark = fill(buffer, scene, "sun", map_size=2048)[0] < 0.5
     x, y = (buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m)[..., :2].transpose(2, 0, 1)
     inside = (np.abs(x) < 1.9) & (y < 4.9)  # its roof's far edge lies at -25, and 30 m on
@@ -161,10 +161,10 @@ def test_trees_throw_the_shade_that_rays_find(gl, write_raster, make_scene, tmp_
     views = {"eye": {"kind": "perspective", "eye": [-5, -30, 22], "target": [0, 0, 0], "fov": 55, "size": [192, 160]}}
     forest = [{"source": "trees.gpkg", "height": "height"}]
     scene = make_scene(raster, 120, 35, forest=forest, views=views, lights={"lamp": SPOT})
-    buffer = geometry_of(scene, scene.view("eye"))
+    buffer = geometry_buffer(scene, scene.view("eye"))
     for light in ("sun", "lamp"):
         seen, _ = fill(buffer, scene, light, filter=3)
-        shares = coverage_truth(buffer, scene, casters_of(scene, buffer), 16, light=light)
+        shares = coverage_truth(buffer, scene, find_casters(scene, buffer), 16, light=light)
         shade = np.nan_to_num(1.0 - seen, nan=0.0).reshape(10, 16, 12, 16).mean(axis=(1, 3))
         whole = buffer.there.reshape(10, 16, 12, 16).all(axis=(1, 3))
         assert np.abs(shade - shares)[whole].mean() < 0.04 and 0.1 < shares[whole].mean() < 0.9
@@ -190,7 +190,7 @@ def test_edges_near_the_eye_are_finer_than_a_shadow_maps(gl, level):
 def test_a_map_is_kept_while_nothing_changes(gl, tmp_path):
     gl.depth_targets.clear()
     scene = surroundings(tmp_path, 120, 30)
-    buffer = geometry_of(scene, scene.view("eye"))
+    buffer = geometry_buffer(scene, scene.view("eye"))
     (first, drawn), (again, found) = fill(buffer, scene, "sun"), fill(buffer, scene, "sun")
     records = [next(iter(log.records.values())) for log in (drawn, found)]
     assert [record.kept for record in records] == [0, 1] and records[0].draws > 0 and records[1].draws == 0
@@ -203,7 +203,7 @@ def test_a_sun_in_the_views_axis_gets_a_uniform_map_and_says_so(gl, tmp_path):
     down_deg = float(np.degrees(np.arctan2(10, 20)))
     for azimuth, altitude in ((180, down_deg), (180, down_deg + 2 * CONE_DEG)):
         scene = level_of(tmp_path, [box((2, 2, 3))], azimuth, altitude, views={"eye": eye})
-        note = next(iter(fill(geometry_of(scene, scene.view("eye")), scene, "sun")[1].records.values())).note
+        note = next(iter(fill(geometry_buffer(scene, scene.view("eye")), scene, "sun")[1].records.values())).note
         assert note.startswith("a uniform map") == (altitude == down_deg)
 
 
@@ -251,7 +251,7 @@ def maps_of(scene: Scene, buffer: GeometryBuffer, map_size: int) -> list[perspec
 def test_what_one_map_is_too_coarse_for_is_parted(gl, tmp_path):
     """Every receiver is in one map, and truth agrees as far as texels displace edges; fewer texels need more maps."""
     scene = wide_view(tmp_path, eye=[2, -18, 0.4], target=[0, 10, -1], fov=120)
-    buffer = geometry_of(scene, scene.view("eye"))
+    buffer = geometry_buffer(scene, scene.view("eye"))
     receivers = np.flatnonzero(buffer.there & ~attached(buffer, scene))
     counts = []
     for map_size in (2048, 256):
@@ -270,11 +270,11 @@ def test_what_one_map_is_too_coarse_for_is_parted(gl, tmp_path):
     assert whole.texel_px > perspective_shadow_map.MOST_TEXEL_PX
     assert max(each.texel_px for each in maps) < whole.texel_px
     seen, _ = fill(buffer, scene, "sun", map_size=1024)
-    errors = errors_of(seen, truth_of(buffer, scene, casters_of(scene, buffer)), 1.0)
+    errors = error_metrics(seen, trace_truth(buffer, scene, find_casters(scene, buffer)), 1.0)
     assert errors.wrong_cast <= 0.05, errors
 
 
 def test_a_usual_view_has_one_map(gl, tmp_path):
     scene = wide_view(tmp_path)
-    (only,) = maps_of(scene, geometry_of(scene, scene.view("eye")), 1024)
+    (only,) = maps_of(scene, geometry_buffer(scene, scene.view("eye")), 1024)
     assert only.texel_px <= perspective_shadow_map.MOST_TEXEL_PX

@@ -10,7 +10,7 @@ import pytest
 from skugga.api.catalogue import find_level
 from skugga.shadows.maps import drawing, point_lookup
 from skugga.shadows.maps import lookup as lookup_module
-from skugga.shadows.maps.trees_that_matter import trees_that_matter
+from skugga.shadows.maps.relevant_trees import relevant_trees
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.render import Frame
 from skugga.terrain.cache import clear_caches
@@ -80,7 +80,7 @@ def test_trees_that_are_left_out_shade_nothing(gl, landscape, monkeypatch, taps,
     counts: list[tuple[int, int]] = []
 
     def some(drawn: DepthMap, *args: Any) -> np.ndarray:
-        chosen = trees_that_matter(drawn, *args)
+        chosen = relevant_trees(drawn, *args)
         assert drawn.trees is not None
         counts.append((len(chosen), len(drawn.trees)))
         return chosen
@@ -90,10 +90,10 @@ def test_trees_that_are_left_out_shade_nothing(gl, landscape, monkeypatch, taps,
         return np.arange(len(drawn.trees))
 
     with monkeypatch.context() as patch:
-        patch.setattr(drawing, "trees_that_matter", some)
+        patch.setattr(drawing, "relevant_trees", some)
         few = drawn(scene, filter=taps)
     with monkeypatch.context() as patch:
-        patch.setattr(drawing, "trees_that_matter", every)
+        patch.setattr(drawing, "relevant_trees", every)
         all_of_them = drawn(scene, filter=taps)
     assert counts and all(chosen < there for chosen, there in counts) and any(chosen > 0 for chosen, _ in counts)
     np.testing.assert_array_equal(few.visibility, all_of_them.visibility)
@@ -103,6 +103,6 @@ def test_a_tree_before_the_receivers_is_not_left_out(gl, landscape, monkeypatch)
     """A mask that forgets how far from the sun receivers lie loses shadows: this is what the test above would see."""
     with_trees = drawn(landscape)
     with monkeypatch.context() as patch:
-        patch.setattr(drawing, "trees_that_matter", lambda drawn, *args: np.zeros(0, np.int64))
+        patch.setattr(drawing, "relevant_trees", lambda drawn, *args: np.zeros(0, np.int64))
         without = drawn(landscape)
     assert np.nanmean(without.visibility > with_trees.visibility) > 0.005

@@ -16,7 +16,7 @@ from skugga.shadows.maps.post_perspective import (
     PostPerspective,
     camera_matrix,
     fit_to_bounds,
-    horizon_m,
+    horizon_distance,
     kind_of,
     light_matrix,
     post_perspectives,
@@ -74,7 +74,7 @@ def test_the_camera_takes_its_planes_to_the_cube():
 
 @pytest.mark.parametrize(("near", "far", "slide"), [(0.0, 5.0, 0.0), (5.0, 5.0, 1.0), (-3.0, 5.0, 2.0)])
 def test_planes_that_are_none_are_refused(near, far, slide):
-    with pytest.raises(ValueError, match="needed is 0 < near < far"):
+    with pytest.raises(ValueError, match="0 < near < far must hold"):
         camera_matrix(looking([0, 0, 0], 0, 0), 0.5, near, far, slide)
 
 
@@ -225,7 +225,7 @@ def test_round_the_views_axis_the_map_is_uniform_and_says_so(away):
         if off_deg < CONE_DEG:
             assert len(found) == 1 and found[0].kind is None
             assert f"{off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}" in found[0].note
-            w = horizon_m(found[0].clip_from_frame, points)
+            w = horizon_distance(found[0].clip_from_frame, points)
             np.testing.assert_allclose(w, w[0])
         else:
             assert found[0].kind == ("point" if away > 0 else "sink") and not found[0].note
@@ -238,9 +238,9 @@ def test_a_lamp_amid_what_it_shines_at_gets_a_uniform_map_that_says_so():
     points = np.column_stack([rng.uniform(-20, 20, (400, 2)), np.zeros(400)])
     light = Light(np.array([0.0, 0.0, 0.6, 1.0]), np.zeros(3))
     found = post_perspectives(camera, light, points, INNER)
-    assert (horizon_m(found[-1].clip_from_frame, points) > 0).all() and "no slide-back keeps" in found[-1].note
+    assert (horizon_distance(found[-1].clip_from_frame, points) > 0).all() and "no slide-back keeps" in found[-1].note
     for each in found[:-1]:
-        assert (horizon_m(each.clip_from_frame, points) > 0).all()
+        assert (horizon_distance(each.clip_from_frame, points) > 0).all()
 
 
 def test_a_sun_that_crosses_the_axis_changes_the_map_steadily():

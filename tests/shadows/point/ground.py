@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skugga.shadows.point.horizon import Surroundings, surroundings
+from skugga.shadows.point.horizon import Surroundings, load_surroundings
 from skugga.shadows.point.place import place_at
 from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
@@ -31,4 +31,4 @@ def round_the_middle(side: int, cell_m: float = CELL_M) -> tuple[np.ndarray, np.
 
 def at_middle(scene: Scene, height_m: float = 0.0) -> Surroundings:
     """The middle of a flat world and what stands round it."""
-    return surroundings(scene, place_at(scene, (0.0, 0.0), height_m=height_m))
+    return load_surroundings(scene, place_at(scene, (0.0, 0.0), height_m=height_m))

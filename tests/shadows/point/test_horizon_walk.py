@@ -7,7 +7,7 @@ import pytest
 from pyproj import CRS, Proj
 
 from skugga.shadows.point import relief_pages
-from skugga.shadows.point.horizon_walk import NO_GROUND, ground_hides, relief_horizon
+from skugga.shadows.point.horizon_walk import NO_GROUND, is_ground_occluded, relief_horizon
 from skugga.shadows.point.place import place_at
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import InputError
@@ -125,8 +125,8 @@ def test_what_is_skipped_is_lower(tmp_path, make_scene, rng_heights):
     assert (found.tangent >= rise - 1e-9).all()
     assert (np.abs(found.tangent - rise) < 1e-9).sum() > 20  # and some of them make it
     above = found.tangent + 1e-9
-    assert not ground_hides(scene, place, azimuth, above).any()
-    assert ground_hides(scene, place, azimuth, found.tangent - 1e-9).all()
+    assert not is_ground_occluded(scene, place, azimuth, above).any()
+    assert is_ground_occluded(scene, place, azimuth, found.tangent - 1e-9).all()
 
 
 @pytest.fixture

@@ -7,14 +7,14 @@ import json
 import numpy as np
 import pytest
 
-from skugga.shadows.point.horizon import horizon_round, sun_reaches, surroundings, what_hides
+from skugga.shadows.point.horizon import horizon_profile, load_surroundings, sees_sun, sun_occluders
 from skugga.shadows.point.place import place_at
-from skugga.shadows.truth.truth import truth_of
+from skugga.shadows.truth.truth import trace_truth
 from skugga.terrain.casters.rays import RayScene, trees_as_mesh
-from skugga.terrain.casters.reach import casters_of
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.gbuffer.tree_instances import tree_instances_in_map
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.sun import direction_enu, position_at
 from skugga.terrain.level.parts import SunSpec
 from tests.rasters import ENGINEERING, write_geotiff
@@ -56,24 +56,24 @@ def village(tmp_path, make_scene):
 
 def test_a_house_stands_as_high_as_its_eaves(village):
     scene, middle = village()
-    around = surroundings(scene, place_at(scene, middle))
+    around = load_surroundings(scene, place_at(scene, middle))
     facing = np.arange(-20.0, 21.0)
     east = 90.0 + facing - 0.0  # the zone's middle meridian: grid north is true north
-    horizon = horizon_round(around, east)
+    horizon = horizon_profile(around, east)
     expected = np.degrees(np.arctan(12.0 * np.cos(np.radians(facing)) / 20.0))
     assert horizon.solids_deg == pytest.approx(expected, abs=0.02)
-    assert (horizon_round(around, np.array([180.0, 270.0, 0.0, 120.0])).solids_deg == -90.0).all()
-    upstairs = surroundings(scene, place_at(scene, middle, height_m=12.5))
-    assert (horizon_round(upstairs, east).solids_deg < 0.0).all()
+    assert (horizon_profile(around, np.array([180.0, 270.0, 0.0, 120.0])).solids_deg == -90.0).all()
+    upstairs = load_surroundings(scene, place_at(scene, middle, height_m=12.5))
+    assert (horizon_profile(upstairs, east).solids_deg < 0.0).all()
 
 
 def test_the_sun_over_beside_and_behind_a_house(village):
     scene, middle = village()
-    around = surroundings(scene, place_at(scene, middle))
+    around = load_surroundings(scene, place_at(scene, middle))
     top = np.degrees(np.arctan(12.0 / 20.0))
     azimuth, altitude = np.array([90.0, 90.0, 140.0, 270.0, 90.0]), np.array([top + 0.1, top - 0.1, 10.0, 10.0, -1.0])
-    assert sun_reaches(around, azimuth, altitude).tolist() == [True, False, True, True, False]
-    hidden = what_hides(around, azimuth, altitude)
+    assert sees_sun(around, azimuth, altitude).tolist() == [True, False, True, True, False]
+    hidden = sun_occluders(around, azimuth, altitude)
     assert [caster and caster.kind for caster in hidden] == [None, "building", None, None, None]
     assert hidden[1].distance_m == pytest.approx(20.0, abs=0.02)
     assert hidden[1].elevation_deg == pytest.approx(top, abs=0.02)
@@ -84,15 +84,15 @@ def test_the_sun_over_beside_and_behind_a_house(village):
 def test_a_tree_is_its_leaves(village):
     """The horizon is the highest leaf: just above it the sun shines, at it not. Rays through the crown meet what Embree's do."""
     scene, middle = village()
-    around = surroundings(scene, place_at(scene, middle))
+    around = load_surroundings(scene, place_at(scene, middle))
     azimuth = np.linspace(176.5, 183.5, 141)
-    horizon = horizon_round(around, azimuth)
+    horizon = horizon_profile(around, azimuth)
     crown = horizon.forest_deg > 0.0
     assert crown.sum() > 30 and horizon.forest_deg.max() == pytest.approx(np.degrees(np.arctan(10 / 30)), abs=0.7)
     # A leaf's rim may rise over the horizon by less than a fourth of a texel.
-    assert (~sun_reaches(around, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.02)).sum() <= 2
-    assert sun_reaches(around, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.08).all()
-    assert not sun_reaches(around, azimuth[crown], horizon.elevation_deg[crown] - 1e-4).any()
+    assert (~sees_sun(around, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.02)).sum() <= 2
+    assert sees_sun(around, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.08).all()
+    assert not sees_sun(around, azimuth[crown], horizon.elevation_deg[crown] - 1e-4).any()
     frame = scene.world.frame_near_earth(around.place.eye_earth_m)
     rays = RayScene(alpha=[trees_as_mesh(tree_instances_in_map(scene.objects, frame, 1e-3))])
     rng = np.random.default_rng(3)
@@ -102,7 +102,7 @@ def test_a_tree_is_its_leaves(village):
     start = np.repeat(frame.points_from_earth(around.place.eye_earth_m)[None], len(enu), axis=0)
     blocked = rays.blocked(start, towards)
     assert 300 < blocked.sum() < 3700
-    assert (sun_reaches(around, azimuth, altitude) == blocked).mean() < 0.002  # rounding at the rims of leaves
+    assert (sees_sun(around, azimuth, altitude) == blocked).mean() < 0.002  # rounding at the rims of leaves
 
 
 def test_shade_is_the_engines_own(village):
@@ -114,15 +114,15 @@ def test_shade_is_the_engines_own(village):
     for azimuth, altitude in ((100.0, 9.0), (175.0, 14.0), (265.0, 7.0)):
         scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
         view = scene.view(bounds=(500_004.0, 5_299_756.0, 500_256.0, 5_299_996.0), size=(63, 60))
-        buffer = geometry_of(scene, view)
-        truth = truth_of(buffer, scene, casters_of(scene, buffer))
+        buffer = geometry_buffer(scene, view)
+        truth = trace_truth(buffer, scene, find_casters(scene, buffer))
         sure = np.argwhere(truth.decidable & (buffer.kind == RELIEF) & buffer.there)
         assert len(sure) > 1000
         for i, j in sure[:: len(sure) // 150]:
             at = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
             place = place_at(scene, at, view.grid.crs)
             sun = position_at(scene.sun.to_sun_earth, place.earth_from_enu)
-            reached = sun_reaches(surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
+            reached = sees_sun(load_surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
             assert reached == truth.lit[i, j], (azimuth, i, j)
             dark += not reached
     assert dark > 60
@@ -131,15 +131,15 @@ def test_shade_is_the_engines_own(village):
 def test_round_a_roofed_place_there_is_no_sun(village):
     scene, middle = village()
     inside = place_at(scene, (middle[0] + 25.0 / 74_000.0, middle[1]))
-    around = surroundings(scene, inside)
-    assert not sun_reaches(around, np.arange(0.0, 360.0, 15.0), np.full(24, 60.0)).any()
-    assert (horizon_round(around, np.arange(0.0, 360.0, 15.0)).solids_deg > 80.0).all()
+    around = load_surroundings(scene, inside)
+    assert not sees_sun(around, np.arange(0.0, 360.0, 15.0), np.full(24, 60.0)).any()
+    assert (horizon_profile(around, np.arange(0.0, 360.0, 15.0)).solids_deg > 80.0).all()
 
 
 def test_meshes_of_a_made_ground_are_no_buildings(make_scene, tmp_path):
     write_geotiff(tmp_path / "floor.tif", np.zeros((21, 21), np.float32), ENGINEERING, 0.0, 0.0, 10.0)
     scene = make_scene(tmp_path / "floor.tif", meshes=[{"generate": "boxgrid"}])
-    around = surroundings(scene, place_at(scene, (0.0, 0.0)))
+    around = load_surroundings(scene, place_at(scene, (0.0, 0.0)))
     assert len(around.triangles) and not around.is_building.any()
 
 
@@ -152,15 +152,15 @@ def test_on_columns_shade_is_the_engines_own(tmp_path, make_scene):
     write_geotiff(tmp_path / "blocks.tif", heights, "EPSG:32633", 500_000.0, 5_300_000.0, 4.0)
     scene = make_scene(tmp_path / "blocks.tif", 235.0, 21.0, terrain={"surface": "blocks"})
     view = scene.view(bounds=(500_000.0, 5_299_744.0, 500_256.0, 5_300_000.0), size=(64, 64))
-    buffer = geometry_of(scene, view)
-    truth = truth_of(buffer, scene, casters_of(scene, buffer))
+    buffer = geometry_buffer(scene, view)
+    truth = trace_truth(buffer, scene, find_casters(scene, buffer))
     dark = 0
     for i, j in np.argwhere(truth.decidable & buffer.there)[::9]:
         at = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
         place = place_at(scene, at, view.grid.crs)
         assert place.ground_m == heights[i, j]
         sun = position_at(scene.sun.to_sun_earth, place.earth_from_enu)
-        reached = sun_reaches(surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
+        reached = sees_sun(load_surroundings(scene, place), *(np.array([angle]) for angle in sun))[0]
         assert reached == truth.lit[i, j], (i, j)
         dark += not reached
     assert dark > 50

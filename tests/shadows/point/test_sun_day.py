@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from skugga.shadows.point.clock import clock_of, solar_clock
-from skugga.shadows.point.horizon import sun_reaches, surroundings
+from skugga.shadows.point.horizon import load_surroundings, sees_sun
 from skugga.shadows.point.place import place_at
 from skugga.shadows.point.sun_angles import angles_at, sun_directions
-from skugga.shadows.point.sun_day import hours_between_looks, sun_day
+from skugga.shadows.point.sun_day import sampled_sun_hours, sun_day
 from skugga.shadows.point.sun_year import sun_year
 from skugga.terrain.errors import InputError
-from skugga.terrain.geo.clock import day_ends
+from skugga.terrain.geo.clock import day_bounds
 from skugga.terrain.geo.sun import apparent_position
 
 DAY = date(2024, 10, 21)
@@ -28,7 +28,7 @@ def at(write_raster, make_scene):
         side = len(heights)
         scene = make_scene(write_raster(heights.astype(np.float32), "EPSG:32633", 500_000.0, north, 50.0))
         middle = 500_000.0 + side * 25.0, north - side * 25.0
-        return surroundings(scene, place_at(scene, middle, scene.elevation.crs, height_m))
+        return load_surroundings(scene, place_at(scene, middle, scene.elevation.crs, height_m))
 
     return place
 
@@ -58,9 +58,9 @@ def test_over_level_ground_the_day_is_the_suns(at):
 def test_first_and_last_sun_as_rays_every_ten_seconds_have_them(at):
     around = at(ridges())
     day = sun_day(around, DAY, UTC)
-    begin = day_ends(DAY, UTC)[0].timestamp()
+    begin = day_bounds(DAY, UTC)[0].timestamp()
     when = begin + np.arange(0.0, 86400.0, 10.0)
-    lit = sun_reaches(around, *angles_at(around.place, sun_directions(around.scene.world, when)))
+    lit = sees_sun(around, *angles_at(around.place, sun_directions(around.scene.world, when)))
     first, last = when[np.flatnonzero(lit)[[0, -1]]]
     assert day.first_sun.timestamp() == pytest.approx(first, abs=15)
     assert day.last_sun.timestamp() == pytest.approx(last, abs=15)
@@ -69,7 +69,7 @@ def test_first_and_last_sun_as_rays_every_ten_seconds_have_them(at):
     caster = day.sunlit[0].after
     assert caster.kind == "relief" and 1000 < caster.distance_m < 4500 and caster.height_m > 100
     assert sum(interval.hours for interval in day.sunlit) == pytest.approx(day.direct_h, abs=0.002)
-    assert hours_between_looks(around, DAY, UTC) == pytest.approx(day.direct_h, abs=0.1)
+    assert sampled_sun_hours(around, DAY, UTC) == pytest.approx(day.direct_h, abs=0.1)
 
 
 def test_a_year_has_the_hours_of_its_days(at):
@@ -97,7 +97,7 @@ def test_a_pit_has_no_sun(at):
     heights[20, 20] = 0.0
     day = sun_day(at(heights), date(2024, 12, 21), UTC)
     assert day.sunlit == () and day.first_sun is None and day.masked_h == pytest.approx(day.daylight_h)
-    assert day.remark == "the sun rises, but something stands before it all day"
+    assert day.remark == "the sun rises, but terrain or objects hide it all day"
 
 
 def test_clocks():
@@ -107,7 +107,7 @@ def test_clocks():
     assert clock_of("-03:30", None, DAY).utcoffset(None) == -timedelta(hours=3, minutes=30)
     oslo = clock_of("Europe/Oslo", None, DAY)
     assert datetime(2024, 7, 1, tzinfo=oslo).utcoffset() == timedelta(hours=2)
-    first, following = day_ends(date(2024, 10, 27), oslo)
+    first, following = day_bounds(date(2024, 10, 27), oslo)
     assert following.astimezone(UTC) - first.astimezone(UTC) == timedelta(hours=25)
     for name in ("Mars", "../etc", "", "+25:00"):
         with pytest.raises(InputError, match="clock"):
@@ -117,10 +117,10 @@ def test_clocks():
 def test_a_day_that_a_calendar_leaves_out_is_refused(at):
     """Samoa went over 30 December 2011; its sun is up for 13 hours on the days before and after."""
     around, apia = at(np.zeros((41, 41))), clock_of("Pacific/Apia", None, DAY)
-    with pytest.raises(InputError, match="date: '2011-12-30' is not allowed. Allowed: a day of Pacific/Apia"):
+    with pytest.raises(InputError, match="date: '2011-12-30' is not allowed. Allowed: a day in the calendar of Pacific/Apia"):
         sun_day(around, date(2011, 12, 30), apia)
     with pytest.raises(InputError, match="date: '2011-12-30'"):
-        hours_between_looks(around, date(2011, 12, 30), apia)
+        sampled_sun_hours(around, date(2011, 12, 30), apia)
     year = sun_year(around, 2011, apia)
     assert len(year.days) == len(year.daylight_h) == 364 and date(2011, 12, 30) not in year.days
     assert year.daylight_h.min() > 6.0

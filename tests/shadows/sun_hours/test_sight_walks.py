@@ -46,9 +46,9 @@ def ground_of(scene: Scene, patches: tuple[Patch, ...] = ()) -> tuple[WalkedGrou
     return walked_ground(scene, bare_nodes(scene, view, 1), patches), int(view.row0), int(view.col0)
 
 
-def seen(ground: WalkedGround, row: int, col: int, azimuth_deg: float, raised: float = 0.0, least: float = NO_LEAST) -> float:
+def seen(ground: WalkedGround, row: int, col: int, azimuth_deg: float, eye_height_m: float = 0.0, least: float = NO_LEAST) -> float:
     down, right = -np.cos(np.radians(azimuth_deg)) / CELL_M, np.sin(np.radians(azimuth_deg)) / CELL_M
-    return float(horizon_tangent(ground, row, col, raised, down, right, least))
+    return float(horizon_tangent(ground, row, col, eye_height_m, down, right, least))
 
 
 @pytest.mark.parametrize("azimuth", [90.0, 61.0, 122.0, 270.0, 241.0])
@@ -60,8 +60,8 @@ def test_a_wall_stands_as_high_as_it_must(opened, azimuth):
     found = seen(ground, row0 + 150, col0 + 100 - side * away, azimuth)
     metres = away * CELL_M / abs(np.sin(np.radians(azimuth)))
     assert found == pytest.approx((80.0 - metres**2 / 2.0 / 6.371e6) / metres, abs=1e-6)
-    raised = seen(ground, row0 + 150, col0 + 100 - side * away, azimuth, raised=30.0)
-    assert raised == pytest.approx(50.0 / metres, abs=1e-4)
+    eye_height_m = seen(ground, row0 + 150, col0 + 100 - side * away, azimuth, eye_height_m=30.0)
+    assert eye_height_m == pytest.approx(50.0 / metres, abs=1e-4)
 
 
 def test_where_the_horizon_is_lower_than_what_matters_that_is_told(opened):

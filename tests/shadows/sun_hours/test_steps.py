@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skugga.api.raster_view import raster_view
-from skugga.shadows.sun_hours.steps import LONG_STEP_MIN, SHORT_STEP_MIN, missed_minutes, step_for
+from skugga.shadows.sun_hours.steps import LONG_STEP_MIN, SHORT_STEP_MIN, missed_minutes, sampling_step_min
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
@@ -59,7 +59,7 @@ def opened(tmp_path: Path):
 def asked_of(scene: Scene) -> float:
     view = raster_view(scene).view.as_nodes()
     day = window_suns(scene.world, [window_of(scene, SPRING)])[0]
-    return step_for(scene, bare_nodes(scene, view, 1), day, 0.0, 0.0)
+    return sampling_step_min(scene, bare_nodes(scene, view, 1), day, 0.0, 0.0)
 
 
 def dome() -> np.ndarray:

@@ -11,10 +11,10 @@ import pytest
 from skugga.shadows.passes import PassLog
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill
-from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from skugga.terrain.casters.reach import casters_of
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.parts import SunSpec
 from tests.rasters import ENGINEERING
 from tests.terrain.ground.test_columns import UTM, scene_of
@@ -31,7 +31,7 @@ def city(cells: int, cell_m: float) -> np.ndarray:
 
 
 def swept(buffer: Any, scene: Any, log: PassLog | None = None, kinds: Any = ("relief",), **settings: Any) -> np.ndarray:
-    casters = casters_of(scene, buffer)
+    casters = find_casters(scene, buffer)
     return fill(buffer, scene, "sun", kinds, casters, SweepSettings(**settings), log or PassLog())
 
 
@@ -46,18 +46,18 @@ def test_a_part_of_a_city_on_the_globe_is_as_rays_find_it(
     scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
     west, south, east, north = scene.view(crs=crs, size=(128, 128)).bounds
     quarter = (west * 0.6 + east * 0.4, south * 0.4 + north * 0.6, west * 0.2 + east * 0.8, south * 0.2 + north * 0.8)
-    buffer = geometry_of(scene, scene.view(crs=crs, bounds=quarter, size=(160, 160)))
-    casters = casters_of(scene, buffer)
+    buffer = geometry_buffer(scene, scene.view(crs=crs, bounds=quarter, size=(160, 160)))
+    casters = find_casters(scene, buffer)
     assert casters.patches and buffer.there.all()
     rays = ray_scene(buffer, scene, casters, ALL_KINDS)
-    log = PassLog(wanted=frozenset({"shadow-height"}))
+    log = PassLog(requested_layers=frozenset({"shadow-height"}))
     lit = swept(buffer, scene, log) > 0.5
     ((shadow_m,),) = log.take().values()
     above_m = shadow_m - buffer.height_m
     certain = (above_m == 0.0) | (above_m > rays.offset_m)  # else what rays start higher is enough
     assert certain.mean() > 0.999 and 0.02 < lit.mean() < 0.98
     np.testing.assert_array_equal(lit, above_m == 0.0)
-    assert not (lit != lit_from(buffer, scene, "sun", rays, 0.25))[certain].any()
+    assert not (lit != lit_mask(buffer, scene, "sun", rays, 0.25))[certain].any()
 
 
 @pytest.mark.parametrize(("crs", "west"), [(ENGINEERING, 0.0), (UTM, 420000.0)])
@@ -65,25 +65,25 @@ def test_what_stands_far_away_is_read_at_half_the_detail_and_shades_all_the_same
     heights = np.zeros((120, 6400))
     heights[40:80, 6000:6064] = 400.0
     scene = scene_of(tmp_path, heights, crs, 1.0, west, 6400120.0).with_sun(SunSpec(azimuth=89.5, altitude=2.2))
-    buffer = geometry_of(scene, scene.view(bounds=(west, 6400000.0, west + 60.0, 6400120.0), size=(60, 120)))
-    casters = casters_of(scene, buffer)
+    buffer = geometry_buffer(scene, scene.view(bounds=(west, 6400000.0, west + 60.0, 6400120.0), size=(60, 120)))
+    casters = find_casters(scene, buffer)
     assert max(patch.level for patch in casters.patches) == 1
     lit = swept(buffer, scene) > 0.5
     assert 10 < (~lit).all(axis=1).sum() < 30  # the sun is half a degree off the rows, or grid north off true north: 52 m aside
     rays = ray_scene(buffer, scene, casters, ALL_KINDS)
-    np.testing.assert_array_equal(lit, lit_from(buffer, scene, "sun", rays, 0.25))
+    np.testing.assert_array_equal(lit, lit_mask(buffer, scene, "sun", rays, 0.25))
 
 
 def test_roofs_of_meshes_are_seen_to_beside_the_columns(tmp_path: Path):
     heights = np.zeros((60, 60))
     heights[30:34, 10:50] = 20.0
     scene = scene_of(tmp_path, heights, ENGINEERING, 1.0, meshes=[{"generate": "boxgrid", "at": [0.0, 12.0], "scale": 0.1}])
-    buffer = geometry_of(scene, scene.view(size=(240, 240)))
-    casters = casters_of(scene, buffer)
+    buffer = geometry_buffer(scene, scene.view(size=(240, 240)))
+    casters = find_casters(scene, buffer)
     solid = buffer.kind == MESHES
     assert solid.any()
     rays = ray_scene(buffer, scene, casters, ("relief",))
-    lit, expected = swept(buffer, scene) > 0.5, lit_from(buffer, scene, "sun", rays)
+    lit, expected = swept(buffer, scene) > 0.5, lit_mask(buffer, scene, "sun", rays)
     facing = buffer.there & (buffer.normal_frame @ scene.sun.in_frame(buffer.frame) > 1e-3)
     assert (lit != expected)[facing & ~solid].sum() == 0
     assert (lit != expected)[facing & solid].mean() < 0.01
@@ -93,8 +93,8 @@ def test_the_disc_and_the_height_of_the_shadow(tmp_path: Path):
     heights = np.zeros((64, 64))
     heights[:, 20:24] = 30.6
     scene = scene_of(tmp_path, heights, ENGINEERING, 1.0).with_sun(SunSpec(azimuth=270.0, altitude=45.0))
-    buffer = geometry_of(scene, scene.view(bounds=(0.0, 0.0, 64.0, 64.0), size=(64, 64)))
-    log = PassLog(wanted=frozenset({"shadow-height"}))
+    buffer = geometry_buffer(scene, scene.view(bounds=(0.0, 0.0, 64.0, 64.0), size=(64, 64)))
+    log = PassLog(requested_layers=frozenset({"shadow-height"}))
     lit = swept(buffer, scene, log)
     middle = np.arange(64) + 0.5
     shadow_m = np.where((middle > 24.0) & (middle < 54.6), 30.6 - (middle - 24.0), np.where(middle < 20.0, 0.0, heights[0]))

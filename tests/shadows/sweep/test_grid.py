@@ -28,7 +28,7 @@ from skugga.shadows.sweep.lines import Strip, TurnedGrid, sweep_rows
 from skugga.shadows.sweep.points import no_points
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import UnsupportedError
-from skugga.terrain.ground.sheet import Sheet, cuts_of, sheet_of
+from skugga.terrain.ground.sheet import Sheet, diagonal_cuts, sheet_of
 
 OFF_AXIS = [7.0, 38.0, 67.0, 113.0, 158.0, 202.0, 251.0, 293.0, 338.0]
 
@@ -151,19 +151,19 @@ def test_strips_and_cores_leave_no_seam(azimuth, monkeypatch):
 
 
 def turned_grid(heights: np.ndarray, azimuth: float, altitude: float, falls: np.ndarray | None = None) -> TurnedGrid:
-    turn, row_m, col_m, place, at = flat_grid(heights.shape, 10.0, azimuth)
+    turn, row_m, col_m, column_of_t, t_of_column = flat_grid(heights.shape, 10.0, azimuth)
     sine, cosine, angle = np.sin(np.radians(altitude)), np.cos(np.radians(altitude)), np.radians(azimuth)
     level = turned_levels(heights, turn, cosine, sine * np.cos(angle) * row_m, -sine * np.sin(angle) * col_m)
     cuts = HIGHER_DIAGONALS if falls is None else np.pad(turn.turned_cuts(falls), ((0, 0), (1, 1)))
-    return TurnedGrid(level, place, at, cuts)
+    return TurnedGrid(level, column_of_t, t_of_column, cuts)
 
 
 def swept(heights: np.ndarray, azimuth: float, altitude: float, falls: np.ndarray | None) -> np.ndarray:
     """``sunlit``, over cuts."""
     sheet = turned_grid(heights, azimuth, altitude, falls)
     n, m = sheet.level.shape
-    lit, _, _ = sweep_nodes(sheet, 8, (sheet.at[:, 0].min(), m), rows=(0, n))
-    return flat_grid(heights.shape, 10.0, azimuth)[0].back(lit)
+    lit, _, _ = sweep_nodes(sheet, 8, (sheet.t_of_column[:, 0].min(), m), rows=(0, n))
+    return flat_grid(heights.shape, 10.0, azimuth)[0].restored(lit)
 
 
 @pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0])
@@ -181,10 +181,10 @@ def test_quads_may_be_cut_any_way(azimuth):
 def test_the_higher_diagonals_are_found_without_being_told(azimuth):
     heights = mountains(150, seed=12)
     own = swept(heights, azimuth, 8.0, None)
-    assert (swept(heights, azimuth, 8.0, cuts_of(heights)) != own).mean() < 1e-4
+    assert (swept(heights, azimuth, 8.0, diagonal_cuts(heights)) != own).mean() < 1e-4
     assert (sunlit(heights, 10.0, azimuth, 8.0) == swept(np.pad(heights, 1, "edge"), azimuth, 8.0, None)[1:-1, 1:-1]).all()
     if azimuth % 90.0:  # else rays run along rows or columns, and cross no diagonal
-        assert (swept(heights, azimuth, 8.0, ~cuts_of(heights)) != own).mean() > 1e-3
+        assert (swept(heights, azimuth, 8.0, ~diagonal_cuts(heights)) != own).mean() > 1e-3
 
 
 def test_windows_of_rows_hand_their_state_over():
@@ -193,11 +193,11 @@ def test_windows_of_rows_hand_their_state_over():
     n, columns = sheet.level.shape
     found = []
     for borders in ([0, n - 1], [0, 1, 50, 51, 128, n - 1]):
-        held, lit = np.full((4, 300), NO_GROUND_LEVEL, np.float32), np.ones((n, columns), np.bool_)
-        strip = Strip(4, -60, held, no_peaks(4, 300))
+        line_max, lit = np.full((4, 300), NO_GROUND_LEVEL, np.float32), np.ones((n, columns), np.bool_)
+        strip = Strip(4, -60, line_max, no_peaks(4, 300))
         for first, last in zip(borders, borders[1:], strict=False):
             sweep_rows(sheet, strip, first, last, NO_LEVELS, lit, no_points(n))
-        found.append((held, lit))
+        found.append((line_max, lit))
     assert (found[0][0] == found[1][0]).all() and (found[0][1] == found[1][1]).all()
     assert not found[0][1].all()
 
@@ -210,10 +210,10 @@ def test_ground_before_a_window_shades_it_through_the_state_alone():
     before, behind = turned_grid(heights[:61], 3.0, 20.0), turned_grid(heights[60:], 3.0, 20.0)
     shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels are counted from each window's corner
     state = state_after(before, 4, (-30.0, 120.0))
-    held = np.where(state.held > NO_GROUND_LEVEL / 2, state.held - np.float32(shift), NO_GROUND_LEVEL)
-    moved = LineState(state.first_cell, held.astype(np.float32))
+    line_max = np.where(state.line_max > NO_GROUND_LEVEL / 2, state.line_max - np.float32(shift), NO_GROUND_LEVEL)
+    moved = LineState(state.first_cell, line_max.astype(np.float32))
     t0 = 60 * np.tan(np.radians(3.0))
-    later = TurnedGrid(behind.level, behind.place + [t0, 0, 0, 0], behind.at - [t0, 0, 0, 0], behind.falls)
+    later = TurnedGrid(behind.level, behind.column_of_t + [t0, 0, 0, 0], behind.t_of_column - [t0, 0, 0, 0], behind.falls)
     handed, _, _ = sweep_nodes(later, 4, (-30.0, 120.0), entry=moved, factor=1.0, rows=(0, 160))
     assert (handed[1:] != lit[61:]).mean() < 2e-4 and (~handed[1:30]).any()
 
@@ -276,10 +276,10 @@ def test_all_ground_has_a_horizon_beside_holes_too(azimuth):
 def test_lines_that_close_up_and_spread_run_where_their_cubics_do():
     """A plane is lit. Columns a cell's width wide in the middle alone: runs of lines are not straight there."""
     rows, cols = 60, 1200
-    place, at = position_cubics(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols, "")
+    column_of_t, t_of_column = position_cubics(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols, "")
     row, col = np.mgrid[:rows, : cols + 2].astype(float)
     level = (30.0 * ((col - 601.0) * (1.0 + 4e-5 * (col - 601.0)) - 0.6 * row) + 2.0 * row).astype(np.float32)
-    lit, _, _ = sweep_nodes(TurnedGrid(level, place, at, HIGHER_DIAGONALS), 8, (-500.0, 600.0), rows=(0, rows))
+    lit, _, _ = sweep_nodes(TurnedGrid(level, column_of_t, t_of_column, HIGHER_DIAGONALS), 8, (-500.0, 600.0), rows=(0, rows))
     assert lit[1:, 100:-100].mean() > 0.99
 
 
@@ -293,8 +293,10 @@ def test_horizons_of_strips_are_those_of_the_whole(monkeypatch):
 
 
 def test_rays_too_bent_for_the_lines_are_refused():
-    place, at = position_cubics(lambda i, j: j + 0.3 * i + 1e-5 * i * j, 200, 300, "")
-    assert np.allclose(place[100, 0] + place[100, 1] * (at[100, 0] + 50 * at[100, 1]), 50.0, atol=1e-3)
+    column_of_t, t_of_column = position_cubics(lambda i, j: j + 0.3 * i + 1e-5 * i * j, 200, 300, "")
+    assert np.allclose(
+        column_of_t[100, 0] + column_of_t[100, 1] * (t_of_column[100, 0] + 50 * t_of_column[100, 1]), 50.0, atol=1e-3
+    )
     with pytest.raises(UnsupportedError, match="shadow_map"):
         position_cubics(lambda i, j: j + 20.0 * np.sin(i / 9.0 + j / 11.0), 200, 300, "")
     with pytest.raises(UnsupportedError, match="CRS"):

@@ -15,9 +15,9 @@ from skugga.shadows.sweep.grid import bordered, fitted_cubics
 from skugga.shadows.sweep.rays import patch_windows
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill, fill_nodes
-from skugga.terrain.casters.reach import PATCH_QUADS, Casters, Patch, casters_in_sun, casters_of
+from skugga.terrain.casters.reach import PATCH_QUADS, Casters, Patch, find_casters, find_sun_casters
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN
 from tests.rasters import ENGINEERING
@@ -50,12 +50,14 @@ def test_rows_without_ground_are_not_looked_at(write_raster, make_scene, monkeyp
     height[::60], height[:, ::70] = 40.0, 60.0
     scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0), azimuth, 20.0)
     view = scene.view(bounds=(3003.0, 3003.0, 5003.0, 5003.0), size=(200, 200))
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     nodes = bare_nodes(scene, MapView(view.grid, float(int(view.row0)), float(int(view.col0)), 1.0, 1.0, 200, 200), 1)
-    of_points = casters_of(scene, buffer)
-    of_points = replace(of_points, idle=frozenset(of_points.patches))  # the sheet is as large as with them, and has no ground there
-    of_nodes = Casters(casters_in_sun(scene, nodes), of_points.reach)
-    of_nodes = replace(of_nodes, idle=frozenset(of_nodes.patches))
+    of_points = find_casters(scene, buffer)
+    of_points = replace(
+        of_points, culled=frozenset(of_points.patches)
+    )  # the sheet is as large as with them, and has no ground there
+    of_nodes = Casters(find_sun_casters(scene, nodes), of_points.reach)
+    of_nodes = replace(of_nodes, culled=frozenset(of_nodes.patches))
 
     def seen() -> list[np.ndarray]:
         return [
@@ -65,8 +67,8 @@ def test_rows_without_ground_are_not_looked_at(write_raster, make_scene, monkeyp
 
     unknown = []
 
-    def with_high_ground(n: int, m: int, known: slice, *soon: object) -> tuple[np.ndarray, np.ndarray]:
-        with_border, inside = bordered(n, m, known, *soon)
+    def with_high_ground(n: int, m: int, known: slice, *window_to_fill: object) -> tuple[np.ndarray, np.ndarray]:
+        with_border, inside = bordered(n, m, known, *window_to_fill)
         elsewhere = np.ones(n, bool)
         elsewhere[known] = False
         with_border[elsewhere] = 1e30

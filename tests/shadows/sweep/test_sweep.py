@@ -12,17 +12,17 @@ from skugga.shadows.bent_rays import MAX_STRAIGHT_M
 from skugga.shadows.passes import PassLog
 from skugga.shadows.render import render_frame
 from skugga.shadows.sweep import sweep
-from skugga.shadows.sweep.rays import rays_over
+from skugga.shadows.sweep.rays import rays_at
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.truth.metrics import MOST_INTERIOR, errors_of, soft_error
-from skugga.shadows.truth.truth import ray_scene, truth_of
+from skugga.shadows.truth.metrics import MOST_INTERIOR, error_metrics, soft_error
+from skugga.shadows.truth.truth import ray_scene, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters import reach
-from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import load_level
@@ -52,8 +52,8 @@ def under(scene: Scene, azimuth: float, altitude: float) -> Scene:
 
 def looked_at(scene: Scene, view, **settings) -> tuple[GeometryBuffer, Casters, np.ndarray]:
     """A view's buffer, its casters, and the sweep's visibility with what is turned away dark."""
-    buffer = geometry_of(scene, view)
-    casters = casters_of(scene, buffer)
+    buffer = geometry_buffer(scene, view)
+    casters = find_casters(scene, buffer)
     seen = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(**settings), PassLog())
     seen[attached(buffer, scene)] = 0.0
     return buffer, casters, seen
@@ -64,7 +64,7 @@ def test_a_tile_of_a_curved_earth_is_as_rays_see_it(jacksboro, tile, sun):
     """Casters beyond the block, meridians that converge, holes: wrong are at most 0.03 % of what is decidable."""
     scene = under(jacksboro, *sun)
     buffer, casters, seen = looked_at(scene, tile)
-    found = errors_of(seen, truth_of(buffer, scene, casters), 30.0)
+    found = error_metrics(seen, trace_truth(buffer, scene, casters), 30.0)
     assert found.wrong <= 3e-4 and found.interior <= 1e-4
     assert (seen < 0.5).mean() > 0.02
 
@@ -75,7 +75,7 @@ def test_pixels_that_are_no_nodes(jacksboro, sun):
     view = scene.view(size=(301, 257))
     assert not view.on_nodes
     buffer, casters, seen = looked_at(scene, view)
-    found = errors_of(seen, truth_of(buffer, scene, casters), 100.0)
+    found = error_metrics(seen, trace_truth(buffer, scene, casters), 100.0)
     assert found.wrong <= 3e-4 and found.interior <= 1e-4
 
 
@@ -86,16 +86,16 @@ def test_ground_far_away_casts_through_coarser_windows(write_raster, make_scene,
     heights = np.maximum(2000.0 - 8.0 * np.hypot((row - 150) * 4, col - 250), 30.0 * np.sin(row / 20.0) * np.sin(col / 23.0))
     scene = make_scene(write_raster(heights.astype(np.float32), ENGINEERING, 0.0, 30_000.0, 20.0), azimuth=3.0, altitude=5.0)
     view = scene.view(bounds=(2600.0, 5000.0, 6600.0, 9000.0), size=(200, 200))
-    buffer = geometry_of(scene, view)
-    casters = casters_of(scene, buffer)
+    buffer = geometry_buffer(scene, view)
+    casters = find_casters(scene, buffer)
     assert {patch.level for patch in casters.patches} >= {0, 1}
-    real = truth_of(buffer, scene, casters)
+    real = trace_truth(buffer, scene, casters)
     seen = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(), PassLog())
     near = Casters(tuple(patch for patch in casters.patches if patch.level == 0), casters.reach)
     without = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), near, SweepSettings(), PassLog())
     assert (without - seen).mean() > 0.05  # the far ground is what shades
     seen[attached(buffer, scene)] = 0.0
-    assert errors_of(seen, real, 20.0).wrong <= 1e-3 and seen.mean() > 0.05
+    assert error_metrics(seen, real, 20.0).wrong <= 1e-3 and seen.mean() > 0.05
 
 
 @pytest.mark.parametrize("sun", SUNS[::3])
@@ -105,7 +105,7 @@ def test_coarse_ground_behind_a_block_shades_none_of_it(jacksboro, sun):
     view = scene.view(bounds=(-84.2505, 36.2928, -84.2495, 36.2938), size=(128, 128), crs="EPSG:4326")
     buffer, casters, seen = looked_at(scene, view)
     assert max(patch.level for patch in casters.patches) >= 1
-    assert errors_of(seen, truth_of(buffer, scene, casters), 0.8).wrong <= 3e-4
+    assert error_metrics(seen, trace_truth(buffer, scene, casters), 0.8).wrong <= 3e-4
 
 
 def test_far_from_the_anchor_high_ground_stands_where_it_stands(write_raster, make_scene):
@@ -116,7 +116,7 @@ def test_far_from_the_anchor_high_ground_stands_where_it_stands(write_raster, ma
     scene = make_scene(write_raster(heights, "EPSG:4326", 70.0, 29.0, 20.0 / 240), azimuth=190.0, altitude=7.0)
     view = scene.view(bounds=(9.75e6, 3.19e6, 9.95e6, 3.31e6), size=(300, 180), crs="EPSG:3857")
     buffer, casters, seen = looked_at(scene, view)
-    found = errors_of(seen, truth_of(buffer, scene, casters), 700.0)
+    found = error_metrics(seen, trace_truth(buffer, scene, casters), 700.0)
     assert 0.02 < seen[buffer.there].mean() < 0.98
     assert found.wrong <= 2e-3
 
@@ -129,8 +129,8 @@ def test_where_meridians_converge_no_shadow_is_made_up(write_raster, make_scene,
     scene = make_scene(write_raster(heights, "EPSG:4326", 20.0, 80.5, (20.0 / 512, 2.0 / 300)), azimuth=azimuth, altitude=4.0)
     view = scene.view(bounds=(2.3e6, 1.49e7, 4.4e6, 1.55e7), size=(700, 200), crs="EPSG:3857")
     buffer, casters, seen = looked_at(scene, view)
-    real = truth_of(buffer, scene, casters)
-    assert errors_of(seen, real, 3000.0).wrong <= 2e-3
+    real = trace_truth(buffer, scene, casters)
+    assert error_metrics(seen, real, 3000.0).wrong <= 2e-3
 
 
 @pytest.mark.parametrize("latitude, width_km", [(0.0, 1000.0), (65.0, 1000.0), (78.0, 500.0), (84.0, 250.0)])
@@ -145,7 +145,7 @@ def test_lines_follow_the_rays_across_so_wide_a_map(write_raster, make_scene, la
     for azimuth in (0.0, 10.0, 45.0, 80.0, 90.0, 200.0):
         scene = make_scene(raster, azimuth=azimuth, altitude=3.0)
         view = scene.view(bounds=(x - half, y - half, x + half, y + half), size=(1024, 1024), crs="EPSG:3857")
-        rays_over(scene, view.grid, view.row0 + 512.0, view.col0 + 512.0).places(0, view.row0, view.col0, 1024, 1024)  # or raises
+        rays_at(scene, view.grid, view.row0 + 512.0, view.col0 + 512.0).places(0, view.row0, view.col0, 1024, 1024)  # or raises
 
 
 def test_blocks_join_without_a_seam(jacksboro):
@@ -157,7 +157,7 @@ def test_blocks_join_without_a_seam(jacksboro):
     block = block_at(-84.25, 36.2933, 12)
     views = block.part(313, 200, 160, 160), block.part(313, 280, 160, 160)
     (buffer, casters, one), (_, _, other) = (looked_at(scene, view) for view in views)
-    decidable = truth_of(buffer, scene, casters).decidable[:, 80:]
+    decidable = trace_truth(buffer, scene, casters).decidable[:, 80:]
     assert decidable.mean() > 0.9
     assert not (one[:, 80:] != other[:, :80])[decidable].any()
     assert 0.02 < one.mean() < 0.98
@@ -177,7 +177,7 @@ views:
     scene = build_scene(load_level(path))
     buffer, casters, seen = looked_at(scene, scene.view("main"))
     assert buffer.ground is not None and (buffer.ground.tolerance_px > 0.0) == decimated
-    found = errors_of(seen, truth_of(buffer, scene, casters), 5.0)
+    found = error_metrics(seen, trace_truth(buffer, scene, casters), 5.0)
     assert (seen[buffer.there] < 0.5).mean() > 0.02
     assert found.wrong <= (1.5e-3 if decimated else 3e-4) and found.interior <= MOST_INTERIOR
 
@@ -189,7 +189,7 @@ def test_trees_and_houses_stand_in_the_hills_shadow():
     view = scene.view("valley", size=(320, 256))
     buffer, casters, seen = looked_at(scene, view)
     standing = buffer.there & (buffer.kind != RELIEF)
-    real = truth_of(buffer, scene, casters, kinds=("relief",))
+    real = trace_truth(buffer, scene, casters, kinds=("relief",))
     decided = standing & real.decidable & ~real.attached
     assert decided.sum() > 1000 and (~real.lit & decided).sum() > 50
     assert (((seen < 0.5) == real.lit) & decided).sum() <= 2e-3 * decided.sum()
@@ -224,8 +224,8 @@ def test_above_the_shadows_height_the_sun_is_seen_and_below_it_is_not(jacksboro,
     plan = make_plan(describe(scene, tile), scene.loaded.level, {"algorithm": "sweep"})
     frame = render_frame(scene, tile, plan, layers=frozenset({"shadow-height"}))
     height_m = frame.layers["shadow-height"]["sun"]
-    buffer = geometry_of(scene, tile)
-    casters = casters_of(scene, buffer)
+    buffer = geometry_buffer(scene, tile)
+    casters = find_casters(scene, buffer)
     deep = height_m - buffer.height_m > 5.0
     assert deep.mean() > 0.1
     assert np.allclose(height_m[frame.visibility == 1.0], buffer.height_m[frame.visibility == 1.0])
@@ -272,4 +272,4 @@ views:
     scene = build_scene(load_level(path))
     for name in ("up", "down"):
         _, _, seen = looked_at(scene, scene.view(name))
-        assert (seen[geometry_of(scene, scene.view(name)).there] == 1.0).all()
+        assert (seen[geometry_buffer(scene, scene.view(name)).there] == 1.0).all()

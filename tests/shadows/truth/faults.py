@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from skugga.shadows.truth.metrics import block_shares, coverage_error, errors_of, soft_error
+from skugga.shadows.truth.metrics import block_shares, coverage_error, error_metrics, soft_error
 from skugga.shadows.truth.truth import Truth
 from tests.hard_cases.table import put_into
 from tests.metrics import flicker
@@ -131,7 +131,7 @@ def figures(fault: str) -> dict[str, float]:
     """What each metric says of the picture with a fault."""
     truth, share = _truth()
     picture = FAULTS[fault]()
-    errors = vars(errors_of(picture.visibility, truth, 1.0, picture.texel_px))
+    errors = vars(error_metrics(picture.visibility, truth, 1.0, picture.texel_px))
     after = picture.visibility if picture.after is None else picture.after
     others = {
         "coverage": coverage_error(block_shares(1.0 - picture.visibility), block_shares(share)),

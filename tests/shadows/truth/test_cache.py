@@ -9,9 +9,9 @@ import numpy as np
 
 from skugga.shadows.truth import cache
 from skugga.shadows.truth.cache import cached_truth, content_key
-from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.gbuffer.geometry import map_geometry
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
@@ -22,14 +22,14 @@ def test_the_same_content_is_made_once(tmp_path, monkeypatch):
     view = scene.view(size=(60, 64))
     frame = scene.world.frame_near(view.grid.crs, *view.centre)
     buffer = map_geometry(scene.surface(view.grid), view, frame)
-    casters = casters_of(scene, buffer)
+    casters = find_casters(scene, buffer)
     made = []
 
     def make(*args, **keys):
-        from skugga.shadows.truth.truth import truth_of
+        from skugga.shadows.truth.truth import trace_truth
 
         made.append(args)
-        return truth_of(*args, **keys)
+        return trace_truth(*args, **keys)
 
     one = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
     again = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
@@ -64,8 +64,8 @@ def test_a_larger_lamp_is_another_content():
     (name,) = scene.lamps
     lamp = scene.lamps[name]
     view = scene.view("main", size=(32, 24))
-    buffer = geometry_of(scene, view)
-    casters = casters_of(scene, buffer)
+    buffer = geometry_buffer(scene, view)
+    casters = find_casters(scene, buffer)
     keys = set()
     for changed in (lamp, replace(lamp, radius_m=lamp.radius_m + 0.1), replace(lamp, cutoff_deg=lamp.cutoff_deg - 1.0)):
         scene.lamps[name] = changed

@@ -12,15 +12,15 @@ from skugga.shadows.truth.metrics import (
     block_shares,
     boundary,
     coverage_error,
+    distance_to_edges_px,
     edge_distances,
-    edge_sight,
-    errors_of,
+    edge_metric_coverage,
+    edge_test_region,
+    error_metrics,
     far_from_edges,
-    far_inside,
-    from_edges_px,
     interior,
-    seen_from,
-    sight_of,
+    interior_region,
+    metric_coverage,
     soft_error,
 )
 from skugga.shadows.truth.truth import Truth
@@ -47,7 +47,7 @@ def strip(text: str) -> np.ndarray:
 def test_shares_of_wrong_pixels():
     """Ten decidable pixels: truth has four in shadow, one of them attached. One lit too many, one dark too many."""
     real = truth(strip("1111110000"), attached=strip("0000000001"))
-    found = errors_of(strip("1111101000"), real, pixel_m=10.0)
+    found = error_metrics(strip("1111101000"), real, pixel_m=10.0)
     assert found.wrong == 2 / 10
     assert found.false_shadow == 1 / 6 and found.missed_shadow == 1 / 4
     # Cast shadow of either: pixels 5, 6, 7, 8 (9 is attached); two of them are wrong.
@@ -57,7 +57,7 @@ def test_shares_of_wrong_pixels():
 
 def test_boundary_pixels_do_not_count():
     real = truth(strip("1111110000"), decidable=strip("1111100111"))
-    found = errors_of(strip("1111101000"), real, pixel_m=1.0)
+    found = error_metrics(strip("1111101000"), real, pixel_m=1.0)
     assert found.wrong == found.wrong_cast == found.false_shadow == found.missed_shadow == 0.0
     assert found.boundary == pytest.approx(2 / 10)
 
@@ -70,7 +70,7 @@ def test_the_share_in_cast_shadow_is_of_the_surface_and_leaves_out_what_is_turne
 
 
 def test_visibility_of_one_half_is_lit():
-    assert errors_of(np.array([[0.5, 0.49]]), truth([[1, 0]]), 1.0).wrong == 0.0
+    assert error_metrics(np.array([[0.5, 0.49]]), truth([[1, 0]]), 1.0).wrong == 0.0
 
 
 def test_boundaries_are_shadow_pixels_beside_lit_ones():
@@ -89,7 +89,7 @@ def test_an_edge_displaced_by_three_pixels():
     everywhere = np.ones((10, 20), bool)
     distances = edge_distances(found, real, everywhere)
     assert distances.size == 20 and (distances == 3.0).all()
-    said = errors_of((~found).astype(float), truth(~real), pixel_m=30.0)
+    said = error_metrics((~found).astype(float), truth(~real), pixel_m=30.0)
     assert (said.edge_mean, said.edge_p95, said.edge_mean_m, said.edge_p95_m) == (3.0, 3.0, 90.0, 90.0)
 
 
@@ -107,7 +107,7 @@ def test_lost_and_invented_components_are_no_edges_but_interior():
     real, found = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
     real[5:25, 5:25] = True  # lost
     found[5:25, 35:55] = True  # invented
-    said = errors_of((~found).astype(float), truth(~real), pixel_m=1.0)
+    said = error_metrics((~found).astype(float), truth(~real), pixel_m=1.0)
     assert said.edge_mean == said.edge_p95 == 0.0
     assert said.interior_parts == 2
     # Farther than 2 px from truth's boundary: the lost square's inner 20 - 2 * 2 - ... pixels and all that was invented.
@@ -131,7 +131,7 @@ def test_small_interior_parts_are_no_parts():
     real, found = np.zeros((40, 40), bool), np.zeros((40, 40), bool)
     found[5, 5:12] = True  # seven pixels
     found[20, 5:13] = True  # eight
-    assert errors_of((~found).astype(float), truth(~real), 1.0).interior_parts == 1
+    assert error_metrics((~found).astype(float), truth(~real), 1.0).interior_parts == 1
 
 
 def test_coverage_compares_shares_in_blocks():
@@ -165,7 +165,7 @@ def test_a_picture_without_surface_light_or_shadow_divides_by_nothing(dark):
         truth(np.full((20, 20), not dark)),
         truth(np.full((20, 20), not dark), decidable=nothing),
     ):
-        said = errors_of(np.full((20, 20), 0.0 if dark else 1.0), real, 1.0)
+        said = error_metrics(np.full((20, 20), 0.0 if dark else 1.0), real, 1.0)
         assert all(np.isfinite(value) for value in vars(said).values())
         assert said.wrong == 0.0 and said.interior == 0.0
     assert coverage_error(*[block_shares(np.full((20, 20), np.nan))] * 2) == 0.0
@@ -234,29 +234,33 @@ def test_sight_by_hand():
     real[8:20, 8:20] = True
     its = truth(~real)
     lost = np.zeros_like(real)
-    plain = sight_of(lost, its, np.ones_like(real))
-    assert (plain.cast_px, plain.seen_px, plain.wrong_px, plain.either_px) == (144, 144, 144, 144)
-    assert (plain.sees, plain.wrong_cast) == (1.0, 1.0)
-    assert sight_of(lost, its, far_inside(its)).seen_px == 6 * 6
-    assert sight_of(real, its, far_inside(its, 2.0)).seen_px == 2 * 2
-    assert sight_of(real, its, far_inside(its, 100.0)).sees == 0.0
+    plain = metric_coverage(lost, its, np.ones_like(real))
+    assert (plain.cast_px, plain.covered_px, plain.wrong_px, plain.either_px) == (144, 144, 144, 144)
+    assert (plain.covered_share, plain.wrong_cast) == (1.0, 1.0)
+    assert metric_coverage(lost, its, interior_region(its)).covered_px == 6 * 6
+    assert metric_coverage(real, its, interior_region(its, 2.0)).covered_px == 2 * 2
+    assert metric_coverage(real, its, interior_region(its, 100.0)).covered_share == 0.0
     attached = truth(~real, attached=real)
-    assert sight_of(lost, attached, np.ones_like(real)).sees == sight_of(lost, attached, np.ones_like(real)).wrong_cast == 0.0
-    assert errors_of((~lost).astype(float), its, 1.0, 100.0).interior_sees == 0.0
+    assert (
+        metric_coverage(lost, attached, np.ones_like(real)).covered_share
+        == metric_coverage(lost, attached, np.ones_like(real)).wrong_cast
+        == 0.0
+    )
+    assert error_metrics((~lost).astype(float), its, 1.0, 100.0).interior_sees == 0.0
 
 
 def test_edges_see_the_components_that_they_meet():
     real, found = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
     real[5:15, 5:15] = real[5:15, 35:45] = True
     found[5:15, 7:17] = True
-    seen = edge_sight(found, truth(~real))
-    assert seen.sees == 0.5 and seen.wrong_cast == pytest.approx((20 + 20 + 100) / 220)
-    assert edge_sight(np.zeros_like(real), truth(~real)).sees == 0.0
+    seen = edge_metric_coverage(found, truth(~real))
+    assert seen.covered_share == 0.5 and seen.wrong_cast == pytest.approx((20 + 20 + 100) / 220)
+    assert edge_metric_coverage(np.zeros_like(real), truth(~real)).covered_share == 0.0
 
 
 @pytest.mark.parametrize("shape", [(40, 60), (1, 30), (25, 2)])
 def test_edges_near_a_pixel_are_told_by_the_pixels_round_it(shape):
-    """Blots and holes: whatever lies beyond ``seen_from`` does not matter, and what is near is what all distances say."""
+    """Blots and holes: whatever lies beyond ``edge_test_region`` does not matter, and what is near is what all distances say."""
     rng = np.random.default_rng(4)
     there = rng.random(shape) < 0.97
     dark = np.zeros(shape, bool)
@@ -265,10 +269,10 @@ def test_edges_near_a_pixel_are_told_by_the_pixels_round_it(shape):
     dark &= there
     row, col = np.nonzero(there)
     for distance in (0.5, 2.0, 3.7, 8.0, 1000.0):
-        far = from_edges_px(dark, there)[row, col] > distance
+        far = distance_to_edges_px(dark, there)[row, col] > distance
         assert np.array_equal(far_from_edges(dark, there, row, col, np.full(len(row), distance)), far)
         for k in range(0, len(row), 97):
             only = row[k : k + 1], col[k : k + 1], np.array([distance])
-            elsewhere = ~seen_from(*only, shape) & there
+            elsewhere = ~edge_test_region(*only, shape) & there
             assert far_from_edges(dark ^ elsewhere, there, *only)[0] == far[k]
     assert far_from_edges(there & False, there, row, col, np.full(len(row), 5.0)).all()

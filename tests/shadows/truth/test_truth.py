@@ -14,10 +14,10 @@ from skugga.shadows.attached import attached
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.passes import PassLog
 from skugga.shadows.truth import truth
-from skugga.shadows.truth.metrics import MOST_INTERIOR, Errors, block_shares, coverage_error, errors_of, soft_error
-from skugga.shadows.truth.truth import Truth, coverage_truth, fill, sub_views, surface_error, truth_of
+from skugga.shadows.truth.metrics import MOST_INTERIOR, ErrorMetrics, block_shares, coverage_error, error_metrics, soft_error
+from skugga.shadows.truth.truth import Truth, coverage_truth, fill, jittered_views, surface_error, trace_truth
 from skugga.shadows.visibility import receivers_of
-from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.casters.reach import Casters, find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import load_level
@@ -42,12 +42,12 @@ def view() -> MapView:
 
 def geometry(scene: Scene, view: MapView) -> tuple[GeometryBuffer, Casters]:
     buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
-    return buffer, casters_of(scene, buffer)
+    return buffer, find_casters(scene, buffer)
 
 
 @pytest.fixture(scope="module")
 def real(scene, view) -> Truth:
-    return truth_of(*_swap(scene, geometry(scene, view)))
+    return trace_truth(*_swap(scene, geometry(scene, view)))
 
 
 def _swap(scene: Scene, ground: tuple[GeometryBuffer, Casters]) -> tuple[GeometryBuffer, Scene, Casters]:
@@ -66,8 +66,8 @@ def visibility(scene: Scene, view: MapView, bias_scale: float = 1.0, patches: bo
 
 
 @pytest.fixture(scope="module")
-def usual(scene, view, real) -> Errors:
-    return errors_of(visibility(scene, view), real, 30.0)
+def usual(scene, view, real) -> ErrorMetrics:
+    return error_metrics(visibility(scene, view), real, 30.0)
 
 
 def test_the_shadow_map_is_near_truth(gl, usual):
@@ -77,28 +77,28 @@ def test_the_shadow_map_is_near_truth(gl, usual):
 
 
 def test_too_much_or_too_little_slope_in_the_comparison_moves_false_shadow(gl, scene, view, real, usual):
-    found = errors_of(visibility(scene, view, bias_scale=50.0), real, 30.0)
+    found = error_metrics(visibility(scene, view, bias_scale=50.0), real, 30.0)
     assert found.false_shadow > 20 * max(usual.false_shadow, 1e-3)
-    found = errors_of(visibility(scene, view, bias_scale=0.0), real, 30.0)
+    found = error_metrics(visibility(scene, view, bias_scale=0.0), real, 30.0)
     assert found.false_shadow > 5 * max(usual.false_shadow, 1e-3)
 
 
 def test_a_sun_wrong_by_one_degree_moves_the_edges(gl, scene, view, real, usual):
     off = scene.with_sun(SunSpec(azimuth=237, altitude=ALTITUDE + 1.0))
-    found = errors_of(visibility(off, view), real, 30.0)
+    found = error_metrics(visibility(off, view), real, 30.0)
     assert found.edge_mean > usual.edge_mean + 0.3 and found.wrong_cast > 3 * usual.wrong_cast
 
 
 def test_a_mirrored_azimuth_moves_false_and_missed_shadow(gl, scene, view, real, usual):
     mirrored = scene.with_sun(SunSpec(azimuth=360 - 237, altitude=ALTITUDE))
-    found = errors_of(visibility(mirrored, view), real, 30.0)
+    found = error_metrics(visibility(mirrored, view), real, 30.0)
     assert found.false_shadow > 0.1 and found.missed_shadow > 0.1 and found.interior > 0.05
 
 
 def test_heights_times_1_02_move_the_edges(gl, view, real, usual, scene):
     level = scene.loaded.level.model_copy(update={"terrain": scene.loaded.level.terrain.model_copy(update={"exaggeration": 1.02})})
     higher = build_scene(scene.loaded.model_copy(update={"level": level})).with_sun(SunSpec(azimuth=237, altitude=ALTITUDE))
-    found = errors_of(visibility(higher, view), real, 30.0)
+    found = error_metrics(visibility(higher, view), real, 30.0)
     assert found.edge_mean > usual.edge_mean and found.wrong_cast > 1.5 * usual.wrong_cast
 
 
@@ -108,10 +108,10 @@ def test_a_dropped_caster_moves_interior_and_its_parts(gl, write_raster, make_sc
     heights[:, 40:45] = 300.0
     ridge = make_scene(write_raster(heights, ENGINEERING, 0, 1000, 10.0), 270, 12)
     view = ridge.view(bounds=(1000, 200, 2200, 800), size=(240, 120))
-    real = truth_of(*_swap(ridge, geometry(ridge, view)))
+    real = trace_truth(*_swap(ridge, geometry(ridge, view)))
     assert 0.2 < (~real.lit).mean() < 0.9
-    with_it = errors_of(visibility(ridge, view), real, 5.0)
-    without = errors_of(visibility(ridge, view, patches=False), real, 5.0)
+    with_it = error_metrics(visibility(ridge, view), real, 5.0)
+    without = error_metrics(visibility(ridge, view, patches=False), real, 5.0)
     assert with_it.interior == 0.0 and with_it.missed_shadow < 0.01
     assert without.interior > 0.2 and without.interior_parts >= 1 and without.missed_shadow > 0.9
 
@@ -142,11 +142,11 @@ def test_pixels_away_from_edges_are_decidable(real):
 
 
 def test_more_sub_samples_decide_less(scene, view, real):
-    finer = truth_of(*_swap(scene, geometry(scene, view)), samples=16)
+    finer = trace_truth(*_swap(scene, geometry(scene, view)), samples=16)
     np.testing.assert_array_equal(finer.lit, real.lit)
     assert finer.boundary >= real.boundary - 0.01
     with pytest.raises(ValueError, match="square"):
-        sub_views(view, 5)
+        jittered_views(view, 5)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skugga.shadows.volumes.edges import edges_of
-from skugga.shadows.volumes.layers import MAX_STENCIL_LAYERS, batches, may_shade_near, most_layers
+from skugga.shadows.volumes.layers import MAX_STENCIL_LAYERS, batches, max_layers, may_shade_near
 from skugga.shadows.volumes.silhouettes import FACING_RULE_CODES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
 from skugga.terrain.errors import InputError
 from skugga.terrain.ground.sheet import sheet_of
@@ -82,14 +82,14 @@ def test_nothing_is_covered_more_often(light: np.ndarray, seed: int):
         bound = cast((vertices, triangles), light, rule)
         points = np.concatenate([rng.uniform(-2, 2, (1000, 3)), vertices[triangles].mean(axis=1)])
         found = int(covered(points, vertices, bound.caps, light).max())
-        assert found <= most_layers(vertices, bound, light) <= len(bound.caps)
+        assert found <= max_layers(vertices, bound, light) <= len(bound.caps)
 
 
 @pytest.mark.parametrize("light", LIGHTS, ids=str)
 def test_one_convex_body_is_one_layer(light: np.ndarray):
     ball = trimesh.creation.icosphere(3, 0.3)
     for middle in ([0.0, 0.0, -1.5], [0.4, -2.0, 0.1]):
-        assert most_layers(ball.vertices + middle, cast((ball.vertices + middle, ball.faces), light), light) == 1
+        assert max_layers(ball.vertices + middle, cast((ball.vertices + middle, ball.faces), light), light) == 1
 
 
 @pytest.mark.parametrize("lamp", [np.array([0.2, 0.1, -0.3, 1.0]), np.array([0.0, 0.0, 0.1, 1.0])], ids=str)
@@ -99,8 +99,8 @@ def test_a_lamp_in_shells_is_covered_all_round(lamp: np.ndarray, shells: int):
     vertices, triangles = copies(np.asarray(ball.vertices), np.asarray(ball.faces), np.zeros((shells, 3)))
     vertices *= np.repeat(1.0 + np.arange(shells), len(ball.vertices))[:, None]
     opened = vertices, np.delete(triangles, [17, 300, 306], axis=0)
-    assert shells <= most_layers(vertices, cast(opened, lamp, "all"), lamp) <= shells + 1
-    assert most_layers(vertices, cast(opened, lamp), lamp) == 0
+    assert shells <= max_layers(vertices, cast(opened, lamp, "all"), lamp) <= shells + 1
+    assert max_layers(vertices, cast(opened, lamp), lamp) == 0
 
 
 def test_what_no_axis_passes_clear_of_is_bounded_by_its_triangles():
@@ -108,14 +108,14 @@ def test_what_no_axis_passes_clear_of_is_bounded_by_its_triangles():
     vertices, triangles = plates(5)
     lamp = np.append(vertices[-1], 1.0)
     bound = cast((vertices, triangles), lamp, "all")
-    assert most_layers(vertices, bound, lamp) == len(bound.caps) == 10
+    assert max_layers(vertices, bound, lamp) == len(bound.caps) == 10
 
 
 @pytest.mark.parametrize("count", [1, 7, 40])
 @pytest.mark.parametrize("light", [OVERHEAD, np.array([0.0, 0.0, 900.0, 1.0])], ids=str)
 def test_a_stack_is_as_many_layers_as_boxes(light: np.ndarray, count: int):
     stack = boxes(1.0, np.arange(count)[:, None] * [0.0, 0.0, 1.5])
-    assert most_layers(stack[0], cast(stack, light), light) == count
+    assert max_layers(stack[0], cast(stack, light), light) == count
 
 
 def test_a_wave_is_one_layer_a_crest():
@@ -124,7 +124,7 @@ def test_a_wave_is_one_layer_a_crest():
     position[3, 40] = np.nan
     sun = np.array([1.0, 0.1, 0.02, 0.0])
     for rule in ("turned_away", "facing"):
-        assert 9 <= most_layers(position, sheet_silhouette(sheet_of(position), sun, rule), sun) <= 12
+        assert 9 <= max_layers(position, sheet_silhouette(sheet_of(position), sun, rule), sun) <= 12
 
 
 @pytest.mark.parametrize("light", [np.array([0.6, 0.5, 0.4, 0.0]), np.array([1.0, 1, 1, 0]), np.array([30.0, 20, 15, 1]),
@@ -134,7 +134,7 @@ def test_a_thousand_boxes_fit_a_stencil(light: np.ndarray):
     mesh = boxes(0.6, np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3))
     bound = cast(mesh, light)
     points = rng.uniform(-1, 11, (500, 3))
-    found, most = int(covered(points, mesh[0], bound.caps, light).max()), most_layers(mesh[0], bound, light)
+    found, most = int(covered(points, mesh[0], bound.caps, light).max()), max_layers(mesh[0], bound, light)
     assert found <= most <= 60
     assert len(batches(*mesh, edges_of(*mesh), turns_of(facing(*mesh, light), "facing"), light)) == 1
 
@@ -146,7 +146,7 @@ def test_rough_ground_at_low_sun_fits_a_stencil():
     for light in (np.array([0.6, 0.5, 0.05, 0.0]), np.array([1000.0, -900.0, 15.0, 1.0])):
         bound = sheet_silhouette(sheet_of(position), light, "turned_away")
         assert len(bound.edges) > 20000
-        assert most_layers(position, bound, light) < 100
+        assert max_layers(position, bound, light) < 100
 
 
 @pytest.mark.parametrize("mesh", [plates(300), plates(600), folded(300), folded(600)], ids=["plates", "more", "folded", "longer"])
@@ -154,10 +154,10 @@ def test_batches_fit_and_are_everything(mesh: Mesh):
     vertices, triangles = mesh
     edges, turns = edges_of(vertices, triangles), turns_of(facing(vertices, triangles, OVERHEAD), "all")
     layers = len(triangles) // 2
-    assert most_layers(vertices, silhouette(triangles, edges, turns), OVERHEAD) == layers > MAX_STENCIL_LAYERS
+    assert max_layers(vertices, silhouette(triangles, edges, turns), OVERHEAD) == layers > MAX_STENCIL_LAYERS
     groups = batches(vertices, triangles, edges, turns, OVERHEAD)
     assert 2 <= len(groups) <= 2 * layers / MAX_STENCIL_LAYERS
-    assert all(most_layers(vertices, silhouette(triangles, edges, group), OVERHEAD) <= MAX_STENCIL_LAYERS for group in groups)
+    assert all(max_layers(vertices, silhouette(triangles, edges, group), OVERHEAD) <= MAX_STENCIL_LAYERS for group in groups)
     assert (np.sum(np.abs(groups), axis=0) == 1).all() and (np.sum(groups, axis=0) == turns).all()
     [group] = batches(vertices, triangles, edges, turns, OVERHEAD, layers)
     np.testing.assert_array_equal(group, turns)
@@ -177,7 +177,7 @@ def test_nothing_is_no_layer():
     row, col = np.mgrid[:3, :3].astype(float)
     position = np.stack([col, -row, 0.0 * row], axis=-1)
     none = sheet_silhouette(sheet_of(position), OVERHEAD, "turned_away")
-    assert len(none.caps) == 0 and most_layers(position, none, OVERHEAD) == 0
+    assert len(none.caps) == 0 and max_layers(position, none, OVERHEAD) == 0
     vertices, triangles = position.reshape(-1, 3), sheet_of(position).triangles
     [group] = batches(vertices, triangles, edges_of(vertices, triangles), np.zeros(8, np.int8), OVERHEAD)
     assert not group.any()

@@ -19,19 +19,19 @@ from skugga.shadows.hybrid.settings import resolve_hybrid
 from skugga.shadows.passes import PassLog
 from skugga.shadows.sweep import sweep
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.truth.metrics import Errors, errors_of
-from skugga.shadows.truth.truth import Truth, TruthSettings, truth_of
+from skugga.shadows.truth.metrics import ErrorMetrics, error_metrics
+from skugga.shadows.truth.truth import Truth, TruthSettings, trace_truth
 from skugga.shadows.truth.truth import fill as truth_fill
 from skugga.shadows.visibility import receivers_of
 from skugga.shadows.volumes import shadow_volume
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.casters.reach import NO_CASTERS, Casters, casters_of
+from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters
 from skugga.terrain.describe import describe
 from skugga.terrain.gbuffer.antialias import multisampled
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
@@ -85,12 +85,12 @@ class Look:
         return self.finished(truth_fill(self.buffer, self.scene, self.light, kinds, self.casters, TruthSettings(), log))
 
     def truth(self) -> Truth:
-        return truth_of(self.buffer, self.scene, self.casters, light=self.light)
+        return trace_truth(self.buffer, self.scene, self.casters, light=self.light)
 
 
 def look(scene: Scene, view: View | None = None) -> Look:
-    buffer = geometry_of(scene, view or scene.view("eye"))
-    return Look(scene, buffer, casters_of(scene, buffer), scene.light_names[0])
+    buffer = geometry_buffer(scene, view or scene.view("eye"))
+    return Look(scene, buffer, find_casters(scene, buffer), scene.light_names[0])
 
 
 def eye(at: Any, target: Any, fov: float = 60.0, size: tuple[int, int] = (120, 90)) -> dict[str, Any]:
@@ -107,10 +107,10 @@ def above(scene: Scene, half_m: float = 15.0, px: int = 120) -> View:
     return scene.view(bounds=(-half_m, -half_m, half_m, half_m), size=(px, px))
 
 
-def check(at: Look, least_dark: float = 0.0, real: Truth | None = None) -> tuple[np.ndarray, Errors]:
+def check(at: Look, least_dark: float = 0.0, real: Truth | None = None) -> tuple[np.ndarray, ErrorMetrics]:
     """Volumes beside truth, and each way of counting beside the others: not a pixel differs."""
     found, real = at.seen(), real or at.truth()
-    errors = errors_of(found, real, 1.0)
+    errors = error_metrics(found, real, 1.0)
     assert errors.wrong <= 5e-4 and errors.wrong_cast <= 3e-3 and errors.interior == 0.0, errors
     assert (real.there & ~real.lit & ~real.attached).sum() >= least_dark * real.there.sum()
     for way in WAYS:
@@ -170,7 +170,7 @@ def test_the_bundled_scenes_are_as_rays_see_them(gl, name, view):
     the rasteriser's grid."""
     at, real = thesis(name, view)
     found = at.seen()
-    errors = errors_of(found, real, 1.0)
+    errors = error_metrics(found, real, 1.0)
     assert errors.wrong <= 5e-4 and errors.wrong_cast <= 3e-3 and errors.interior <= 2e-5 and errors.interior_parts == 0, errors
     assert (~real.lit & ~real.attached & real.there).sum() > 0.02 * real.there.sum()
     for way in WAYS:
@@ -309,7 +309,7 @@ def test_a_stack_of_bodies_is_counted_either_way(gl, tmp_path):
     scene = level_of(tmp_path, [body], 180, 75, **eye((4, 6, 1.2), (0, 0, 0.2)))
     at = look(scene)
     found = at.seen()
-    assert errors_of(found, at.truth(), 1.0).interior == 0.0
+    assert error_metrics(found, at.truth(), 1.0).interior == 0.0
     np.testing.assert_array_equal(at.seen(counting="z_fail"), found)
 
 
@@ -328,7 +328,7 @@ def by_sweep(at: Look) -> np.ndarray:
 def check_ground(at: Look) -> None:
     """Volumes beside truth, and beside the sweep."""
     found, real = at.seen(), at.truth()
-    errors = errors_of(found, real, 20.0)
+    errors = error_metrics(found, real, 20.0)
     assert errors.wrong <= 5e-4 and errors.wrong_cast <= 3e-3 and errors.interior == 0.0, errors
     assert ((found < 0.5) != (by_sweep(at) < 0.5))[real.decidable].mean() <= 3e-3
 

@@ -16,7 +16,7 @@ from skugga.shadows.passes import PassRecord
 from skugga.shadows.volumes import drawing as volume_drawing
 from skugga.shadows.volumes.drawing import count
 from skugga.shadows.volumes.settings import VolumeSettings
-from skugga.shadows.volumes.tiles import CULLING_TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
+from skugga.shadows.volumes.tiles import CULLING_TILE_PX, CulledFaces, cull_faces, depth_bounds, marked_tiles, rectangles
 from skugga.shadows.volumes.volumes import volumes_of
 from tests.shadows.boxes import box, level_of
 from tests.shadows.volumes.test_shadow_volume import Look, above, eye, joined, look
@@ -106,7 +106,7 @@ def test_what_is_left_out_adds_the_same_everywhere(seed, behind, clamped):
     near = np.inf if clamped else 1.0
     depth = rng.uniform(0.1, 2.0 if clamped else 0.95, len(rows))
     parts = rectangles(marked_tiles(rows, cols, size), size, 10_000)
-    some = culled(clip, faces, behind, parts, depth_bounds(rows, cols, depth, parts, size), size, clamped)
+    some = cull_faces(clip, faces, behind, parts, depth_bounds(rows, cols, depth, parts, size), size, clamped)
     x, y = (cols + 0.5) / size[1] * 2 - 1, (rows + 0.5) / size[0] * 2 - 1
     counts = np.zeros((len(faces), len(rows)), int)
     for number, face in enumerate(faces):
@@ -127,10 +127,10 @@ def everything(
     depths: np.ndarray,
     size: tuple[int, int],
     clamped: bool,
-) -> Culled:
+) -> CulledFaces:
     """All faces in every rectangle."""
     k, m = len(parts), len(faces)
-    return Culled(np.tile(np.arange(m, dtype=np.int32), k), np.arange(k + 1) * m, np.zeros(k, np.int64))
+    return CulledFaces(np.tile(np.arange(m, dtype=np.int32), k), np.arange(k + 1) * m, np.zeros(k, np.int64))
 
 
 def counted(at: Look, wanted: np.ndarray, marked: bool, counting: Any = "auto") -> np.ndarray:
@@ -170,7 +170,7 @@ def test_counts_are_those_of_all_faces(gl, tmp_path, monkeypatch, seed):
         for wanted, marked, counting in ((lit, False, "auto"), (lit, False, "z_fail"), (sparse, True, "auto")):
             with monkeypatch.context() as patched:
                 found = counted(at, wanted, marked, counting)
-                patched.setattr(volume_drawing, "culled", everything)
+                patched.setattr(volume_drawing, "cull_faces", everything)
                 whole = counted(at, wanted, marked, counting)
             np.testing.assert_array_equal(found[wanted], whole[wanted])
             assert (found[~wanted] == 0).all()
@@ -182,5 +182,5 @@ def test_faces_before_the_near_plane_count_for_nothing(gl, tmp_path, monkeypatch
     at = look(level_of(tmp_path, [body], 0, 0, **eye((10, 20, 6.05), (0, 2, 0)), sun="none", lights={"lamp": lamp}))
     lit = at.buffer.there & ~attached(at.buffer, at.scene, at.light)
     found = counted(at, lit, False)
-    monkeypatch.setattr(volume_drawing, "culled", everything)
+    monkeypatch.setattr(volume_drawing, "cull_faces", everything)
     np.testing.assert_array_equal(found, counted(at, lit, False))

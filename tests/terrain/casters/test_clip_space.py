@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skugga.terrain.casters.clip_space import AFFINE_PART_PX, affine_parts, bend_px, camera_clip, map_clip
-from skugga.terrain.gbuffer.picture import frame_of, geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer, view_frame
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -38,7 +38,7 @@ def test_what_a_camera_sees_lies_in_its_pixels(gl, flat, cut, fine):
     """Whole, cut off-centre, and finer; depth is the near distance over the one along the axis."""
     view = flat.view("eye") if cut is None else flat.view("eye").part(*cut)
     view = view.finer(fine)
-    buffer = geometry_of(flat, view)
+    buffer = geometry_buffer(flat, view)
     there, origin = np.nonzero(buffer.there), np.array([3.0, -7.0, 1.0])
     points = buffer.position_frame_m[there]
     row, col, depth = pixels(camera_clip(view, buffer.frame, origin, 0.5), points - origin, view)
@@ -52,7 +52,7 @@ def test_what_a_camera_sees_lies_in_its_pixels(gl, flat, cut, fine):
 
 def test_what_is_infinitely_far_away_has_depth_0_and_the_near_plane_1(flat):
     view = flat.view("eye")
-    frame = frame_of(flat, view)
+    frame = view_frame(flat, view)
     eye, camera_from_frame = view.in_frame(frame)
     clip = camera_clip(view, frame, eye, 0.3)
     for direction in (camera_from_frame[2], camera_from_frame[2] + 0.1 * camera_from_frame[0]):
@@ -65,7 +65,7 @@ def test_what_is_infinitely_far_away_has_depth_0_and_the_near_plane_1(flat):
 def test_a_flat_map_is_a_camera(gl, flat):
     """Pixels and heights are exact: depth 0 at the lower height, 1 at the higher one."""
     view = flat.view(bounds=(-40, -30, 40, 30), size=(160, 120)).part(13, 7, 90, 101)
-    buffer = geometry_of(flat, view)
+    buffer = geometry_buffer(flat, view)
     origin = np.array([5.0, 2.0, 1.0])
     clip = map_clip(flat.world, buffer.frame, view, origin, (-2.0, 8.0))
     row, col, depth = pixels(clip, buffer.position_frame_m.reshape(-1, 3) - origin, view)
@@ -81,7 +81,7 @@ def test_a_flat_map_is_a_camera(gl, flat):
 def test_parts_of_a_globe_s_map_lie_off_it_by_what_is_stated(gl, globe, zoom):
     """By no more than the bend of the level's parts, a little more where ground rises above the fitted heights."""
     block = block_at(-84.25, 36.2933, zoom)
-    buffer = geometry_of(globe, block)
+    buffer = geometry_buffer(globe, block)
     stated, worst = bend_px(globe, block.grid, block.row_step, block.col_step), 0.0
     for part, top, left in affine_parts(globe.world, block):
         inside = np.s_[top : top + part.rows, left : left + part.cols]

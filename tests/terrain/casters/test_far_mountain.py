@@ -50,7 +50,7 @@ def shadow_length_m() -> float:
 def places(margin_m: float) -> dict[tuple[float, float], bool]:
     """Eastings and northings on the plain, and whether they lie in the mountain's shadow: no nearer to its rim than a margin."""
     end_m = shadow_length_m()
-    dark = {(RIM_M - away_m, MIDDLE_M): True for away_m in (10e3, 25e3, 40e3, FAR_M - margin_m, end_m - margin_m)}
+    dark = {(RIM_M - distance_m, MIDDLE_M): True for distance_m in (10e3, 25e3, 40e3, FAR_M - margin_m, end_m - margin_m)}
     aside = {(RIM_M - 40e3, MIDDLE_M + side * (HALF_WIDTH_M + margin_m)): False for side in (-1, 1)}
     return {**dark, **aside, (RIM_M - end_m - margin_m, MIDDLE_M): False}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skugga.terrain.casters.reach import casters_in_sun
+from skugga.terrain.casters.reach import find_sun_casters
 from skugga.terrain.gbuffer.geometry import map_geometry
 from skugga.terrain.ground import overview
 from tests.render import render_points, shadow
@@ -32,7 +32,7 @@ def seen(write_raster, make_scene, monkeypatch):
         x, y = WEST_M + 15_000.0, NORTH_M - 14_000.0
         view = scene.view(bounds=(x, y, x + 256 * 7.5, y + 256 * 7.5), crs="EPSG:32633", size=(256, 256))
         buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
-        return len(casters_in_sun(scene, buffer)), shadow(render_points(scene, view, algorithm="sweep"))
+        return len(find_sun_casters(scene, buffer)), shadow(render_points(scene, view, algorithm="sweep"))
 
     found = {"small": look()}
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 256 * 256)

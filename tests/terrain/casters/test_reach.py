@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skugga.terrain.casters.reach import casters_of, longest_shadow_m
+from skugga.terrain.casters.reach import find_casters, longest_shadow_m
 from skugga.terrain.gbuffer.geometry import map_geometry
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
@@ -15,7 +15,7 @@ from tests.render import render
 
 def casters(scene: Scene, view):
     buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
-    return buffer, casters_of(scene, buffer)
+    return buffer, find_casters(scene, buffer)
 
 
 def hills(rows: int, cols: int, relief: float, seed: int = 4) -> np.ndarray:
@@ -99,7 +99,7 @@ def test_a_map_far_finer_than_its_raster_reads_little_ground_and_shades_the_same
     scene = make_scene(write_raster(hills(60, 60, 60), "EPSG:32633", 500_000, 6_000_600, 10.0), 200, 12)
     close, wide = (scene.view(bounds=(500_300, 6_000_300, 500_300 + m, 6_000_300 + m), size=(256, 256)) for m in (5, 20))
     sparing = len(casters(scene, close)[1].patches), render(scene, wide, algorithm="shadow_map", filter=1, map_size=1024)
-    monkeypatch.setattr("skugga.terrain.casters.reach.NODES_A_CELL", 1e9)
+    monkeypatch.setattr("skugga.terrain.casters.reach.NODES_PER_CELL", 1e9)
     whole = len(casters(scene, close)[1].patches), render(scene, wide, algorithm="shadow_map", filter=1, map_size=1024)
     assert 1.5 * sparing[0] < whole[0]
     assert 0.05 < (whole[1].visibility < 0.5).mean() < 0.95

@@ -66,8 +66,8 @@ def test_nothing_slips_through_sides_and_corners(azimuth, altitude):
     places = [nodes[1:-1, 1:-1], (nodes[1:-1, 1:-2] + nodes[1:-1, 2:-1]) / 2, (nodes[1:-2, 1:-1] + nodes[2:-1, 1:-1]) / 2, cut]
     rays = SheetRays([sheet], np.zeros(3))
     for place in places:
-        for away_m in (1e-3, 1.0, 7.0):
-            assert rays.blocked(place.reshape(-1, 3) - away_m * sun, sun).all()
+        for distance_m in (1e-3, 1.0, 7.0):
+            assert rays.blocked(place.reshape(-1, 3) - distance_m * sun, sun).all()
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])

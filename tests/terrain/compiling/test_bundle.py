@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from skugga.terrain.compiling.bundle import FLAGS, TARGET, VERSIONS, installed_versions, use_bundled_loops
+from skugga.terrain.compiling.bundle import TARGET, V3_CPU_FLAGS, VERSIONS, installed_versions, use_bundled_loops
 
 
 @pytest.fixture
@@ -18,7 +18,9 @@ def bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.delenv(name)
     monkeypatch.setattr("platform.machine", lambda: "x86_64")
     (tmp_path / VERSIONS).write_text(json.dumps(installed_versions()), encoding="utf-8")
-    (tmp_path / "cpuinfo").write_text(f"processor : 0\nflags\t\t: sse4_2 {' '.join(sorted(FLAGS))} avx512f\n", encoding="ascii")
+    (tmp_path / "cpuinfo").write_text(
+        f"processor : 0\nflags\t\t: sse4_2 {' '.join(sorted(V3_CPU_FLAGS))} avx512f\n", encoding="ascii"
+    )
     return tmp_path
 
 

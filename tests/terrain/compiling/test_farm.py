@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from skugga.terrain.compiling import ahead, hooks
-from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.compiling import ahead_of_time, hooks
+from skugga.terrain.compiling.ahead_of_time import PRODUCTS, compile_ahead
 from skugga.terrain.compiling.farm import Task, _Queue
-from skugga.terrain.compiling.hooks import compiled_by, need, report_missing_loop
+from skugga.terrain.compiling.hooks import compile_needed_products, declare_product, missing_loop_compiler
 from skugga.terrain.compiling.signatures import decode_type, encode_type, recorded_signatures
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -99,15 +99,15 @@ def nothing_needed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_needed_products_are_compiled_when_a_loop_is_missing_and_once(nothing_needed: None) -> None:
     asked: list[list[str]] = []
-    with compiled_by(lambda products: asked.append(list(products))):
-        assert not report_missing_loop(), "nothing is needed yet"
-        need("masks")
-        need("masks")
-        assert report_missing_loop() and not report_missing_loop()
-        need("points")
-        assert report_missing_loop()
-    need("hours of sun")
-    assert not report_missing_loop(), "nobody compiles any more"
+    with missing_loop_compiler(lambda products: asked.append(list(products))):
+        assert not compile_needed_products(), "nothing is needed yet"
+        declare_product("masks")
+        declare_product("masks")
+        assert compile_needed_products() and not compile_needed_products()
+        declare_product("points")
+        assert compile_needed_products()
+    declare_product("hours of sun")
+    assert not compile_needed_products(), "nobody compiles any more"
     assert asked == [["masks"], ["points"]]
 
 
@@ -126,7 +126,7 @@ def test_only_loops_of_the_products_asked_for_are_recorded_for_them() -> None:
 
 
 def test_a_process_that_cannot_be_started_is_no_error(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    monkeypatch.setattr(ahead.sys, "executable", "/nonexistent/python")
+    monkeypatch.setattr(ahead_of_time.sys, "executable", "/nonexistent/python")
     compile_ahead(["points"], 1)
     assert "cannot be compiled ahead" in caplog.text
 
@@ -153,7 +153,7 @@ def test_a_store_that_cannot_be_written_compiles_nothing_ahead(tmp_path: Path, m
 
 
 KILLED = """
-from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.compiling.ahead_of_time import PRODUCTS, compile_ahead
 farms = []
 compile_ahead(PRODUCTS, 2, lambda task, done, total: print(farms[0], flush=True), on_start=lambda farm: farms.append(farm.pid))
 """

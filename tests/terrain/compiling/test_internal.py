@@ -40,7 +40,7 @@ def test_internal_loops_work_within_compiled_ones() -> None:
 
 def test_python_cannot_call_an_internal_loop() -> None:
     _four_times(np.arange(5.0))
-    with pytest.raises(TypeError, match="compiled loops alone"):
+    with pytest.raises(TypeError, match="compiled loops only"):
         _of(np.arange(5.0), 1)
 
 

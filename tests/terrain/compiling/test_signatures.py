@@ -7,7 +7,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from skugga import api, selector, shadows, terrain
-from skugga.terrain.compiling.ahead import PRODUCTS
+from skugga.terrain.compiling.ahead_of_time import PRODUCTS
 from skugga.terrain.compiling.signatures import recorded_signatures
 
 RARE = {
@@ -21,7 +21,7 @@ RARE = {
     "skugga.terrain.effects.clouds": "levels with clouds",
     "skugga.terrain.effects.snow": "levels with snow",
     "skugga.terrain.effects.water": "levels with water",
-    "skugga.terrain.gbuffer.covered_nodes": "layers of classes at coarse zooms",
+    "skugga.terrain.gbuffer.supersampling": "layers of classes at coarse zooms",
     "skugga.terrain.gbuffer.map_columns": "levels of blocks",
     "skugga.terrain.ground.cells": "levels of blocks",
     "skugga.terrain.ground.columns": "levels of blocks",

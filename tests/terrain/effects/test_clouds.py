@@ -17,7 +17,7 @@ from skugga.terrain.describe import describe
 from skugga.terrain.effects import clouds
 from skugga.terrain.effects.clouds import (
     CLOUD_EDGE_WIDTH,
-    LAYER_M,
+    CLOUD_HEIGHT_M,
     MAX_NOISE,
     MAX_NOISE_SLOPE,
     NOISE_BOUND,
@@ -27,7 +27,7 @@ from skugga.terrain.effects.clouds import (
     threshold_of,
 )
 from skugga.terrain.effects.effect import ShadingBlock
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.ground.noise import noise_at
 from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
@@ -57,7 +57,7 @@ def densities(cover: float, step_m: float = 130.7, side: int = 400) -> np.ndarra
 def sunlight_of(scene: Scene, view=None) -> np.ndarray:
     """The share of the sun that the clouds alone let through."""
     view = view or scene.view()
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     light = np.ones(buffer.there.shape, np.float32)
     apply_clouds(light, ShadingBlock(scene, view, buffer, {}))
     return light
@@ -105,10 +105,10 @@ def test_no_place_in_a_box_is_denser_than_its_densest(west: float, south: float,
     found = max(
         density_at(x, y, threshold) for x in np.linspace(west, west + side, 60) for y in np.linspace(south, south + side, 60)
     )
-    bound = clouds._densest(west, west + side, south, south + side, threshold)
+    bound = clouds._max_density(west, west + side, south, south + side, threshold)
     assert found <= bound
     fine = side / 59.0
-    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.WIDEST_M * 1.5 / CLOUD_EDGE_WIDTH
+    slope = clouds.CLOUD_OCTAVES * MAX_NOISE_SLOPE / clouds.COARSEST_WAVE_M * 1.5 / CLOUD_EDGE_WIDTH
     assert bound <= found + slope * (fine + 1.0)
 
 
@@ -123,13 +123,13 @@ def test_the_shadow_lies_where_the_ray_to_the_sun_meets_the_layer(make_scene, wr
     heights = np.full((40, 40), 300.0, np.float32)
     scene = make_scene(write_raster(heights, UTM, 500_000.0, 1000.0, 50.0), 90.0, 45.0, weather={"cloud_cover": 0.4})
     layer, view = cloud_layer_of(scene), scene.view()
-    assert layer.height_m == pytest.approx(300.0 + LAYER_M)
-    light, buffer = sunlight_of(scene, view), geometry_of(scene, view)
+    assert layer.height_m == pytest.approx(300.0 + CLOUD_HEIGHT_M)
+    light, buffer = sunlight_of(scene, view), geometry_buffer(scene, view)
     points = buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m - scene.world.anchor_earth_m
     east, north, _ = np.moveaxis(points @ scene.world.earth_from_anchor, -1, 0)
     # The sun stands in the east at 45 degrees: the cloud over a point is as far to the east as it is high.
     for i, j in ((3, 5), (500, 500), (1000, 900)):
-        expected = 1.0 - layer.most * density_at(east[i, j] + LAYER_M, north[i, j], layer.threshold)
+        expected = 1.0 - layer.max_opacity * density_at(east[i, j] + CLOUD_HEIGHT_M, north[i, j], layer.threshold)
         assert light[i, j] == pytest.approx(expected, abs=2e-3)
 
 
@@ -152,9 +152,9 @@ def test_clouds_drift_by_the_clock(cloudy) -> None:
 def test_pixels_wider_than_the_clouds_show_their_mean(cloudy) -> None:
     scene = cloudy(0.4, size=600)
     view = scene.view(size=(12, 12))
-    light = sunlight_of(scene, view)[geometry_of(scene, view).there]
+    light = sunlight_of(scene, view)[geometry_buffer(scene, view).there]
     assert light.size > 50
-    assert light == pytest.approx(1.0 - 0.4 * cloud_layer_of(scene).most, abs=1e-6)
+    assert light == pytest.approx(1.0 - 0.4 * cloud_layer_of(scene).max_opacity, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -224,6 +224,6 @@ def test_perspective_counts_what_is_seen(cloudy) -> None:
         view = later.view_from(spec)
         light = sunlight_of(later, view)
         seen = clouds.called_for(describe(later, view, "down")).called_for
-        assert seen or np.nanmin(light) > 1.0 - clouds.UNSEEN
+        assert seen or np.nanmin(light) > 1.0 - clouds.INVISIBLE_SHARE
         verdicts.append(seen)
     assert any(verdicts) and not all(verdicts)

@@ -12,10 +12,10 @@ import shapely
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
-from skugga.terrain.effects.crowns import EFFECT, THROUGH_LEAVES, apply_crowns
+from skugga.terrain.effects.crowns import EFFECT, LEAF_TRANSMITTANCE, apply_crowns
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.resolve import FOREST, RELIEF, _tree_look
+from skugga.terrain.gbuffer.resolve import FOREST, RELIEF, _shade_leaf
 from skugga.terrain.geo.camera import look_at
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -67,8 +67,8 @@ POINTS = np.array([[0.0, 0.0, 5.0], [3.0, 1.0, 8.0], [-4.0, 2.0, 11.0]])
 
 def test_light_comes_through_leaves(wall):
     scene = wall()
-    assert lit(scene, POINTS, np.zeros(3)) == pytest.approx(THROUGH_LEAVES)
-    assert lit(scene, POINTS, np.full(3, 0.5)) == pytest.approx(0.5 + 0.5 * THROUGH_LEAVES)
+    assert lit(scene, POINTS, np.zeros(3)) == pytest.approx(LEAF_TRANSMITTANCE)
+    assert lit(scene, POINTS, np.full(3, 0.5)) == pytest.approx(0.5 + 0.5 * LEAF_TRANSMITTANCE)
     assert (lit(scene, POINTS, np.ones(3)) == 1.0).all()
     assert (lit(scene, POINTS, np.zeros(3), RELIEF) == 0.0).all()
 
@@ -78,7 +78,7 @@ def test_no_light_comes_through_ground(wall):
     low = wall(altitude=8.0)  # 23 m over the floor at the tree
     assert (lit(low, POINTS, np.zeros(3)) == 0.0).all()
     over = POINTS + [0.0, 0.0, 40.0]
-    assert lit(low, over, np.zeros(3)) == pytest.approx(THROUGH_LEAVES)
+    assert lit(low, over, np.zeros(3)) == pytest.approx(LEAF_TRANSMITTANCE)
 
 
 def test_no_light_comes_through_a_house(wall, tmp_path):
@@ -86,7 +86,7 @@ def test_no_light_comes_through_a_house(wall, tmp_path):
     pyogrio.raw.write(tmp_path / "house.gpkg", house, [np.array([40.0])], ["height_m"], geometry_type="Polygon", crs=ENGINEERING)
     scene = wall(meshes=[{"source": "house.gpkg"}])
     assert (lit(scene, POINTS, np.zeros(3)) == 0.0).all()
-    assert lit(scene, POINTS + [0.0, 0.0, 50.0], np.zeros(3)) == pytest.approx(THROUGH_LEAVES)
+    assert lit(scene, POINTS + [0.0, 0.0, 50.0], np.zeros(3)) == pytest.approx(LEAF_TRANSMITTANCE)
 
 
 def verdict(scene: Scene, name: str):
@@ -121,7 +121,7 @@ def test_visibility_stays_and_leaves_alone_get_lighter(gl, wall):
 def look(point: np.ndarray, eye: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """The unit normal (3,) of a crown on the foot (0, 0, 0) where a ray from an eye meets a point."""
     shading, albedo = np.empty(3, np.float32), np.empty(3, np.float32)
-    _tree_look(point, point - eye, np.zeros(3), shape, np.zeros(3, np.uint8), shading, albedo)
+    _shade_leaf(point, point - eye, np.zeros(3), shape, np.zeros(3, np.uint8), shading, albedo)
     return shading / np.linalg.norm(shading)
 
 

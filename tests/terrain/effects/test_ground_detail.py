@@ -10,7 +10,7 @@ import pytest
 
 from skugga.terrain.describe import describe
 from skugga.terrain.effects.effect import ShadingBlock
-from skugga.terrain.effects.ground_detail import EFFECT, GROUND_WAVES, SHOWS, apply_ground_detail, largest_share
+from skugga.terrain.effects.ground_detail import EFFECT, GROUND_WAVES, INVISIBLE_CHANGE, apply_ground_detail, largest_share
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.geo.camera import look_at
@@ -50,7 +50,7 @@ def detail_at(scene: Scene, points: np.ndarray, eye: np.ndarray, kind: int = REL
 def test_it_is_called_for_near_the_ground_alone(scene):
     verdicts = {name: EFFECT.called_for(describe(scene, scene.view(name), name)) for name in ("eye", "far", "sky", "map")}
     assert {name for name, verdict in verdicts.items() if verdict.called_for} == {"eye"}
-    assert "tints alone" in verdicts["map"].reason and "no ground" in verdicts["sky"].reason
+    assert "tints only" in verdicts["map"].reason and "no ground" in verdicts["sky"].reason
     assert "pixels are as wide" in verdicts["far"].reason
 
 
@@ -64,7 +64,7 @@ def test_imagery_is_left_as_it_is(scene):
 def test_the_bound_falls_with_the_pixels_and_holds(scene):
     widths = np.geomspace(1e-3, 100.0, 60)
     bounds = [largest_share(width) for width in widths]
-    assert (np.diff(bounds) <= 0.0).all() and bounds[-1] == 0.0 and bounds[0] > SHOWS
+    assert (np.diff(bounds) <= 0.0).all() and bounds[-1] == 0.0 and bounds[0] > INVISIBLE_CHANGE
     rng = np.random.default_rng(1)
     for away in (2.0, 50.0, 1000.0, 15_000.0):
         points = np.column_stack([rng.uniform(-0.3, 0.3, (4000, 2)) * away, np.zeros(4000)]) + [70.0, 40.0, 0.0]

@@ -21,12 +21,12 @@ from skugga.terrain.effects.haze import (
     EFFECT,
     RAYLEIGH_PER_M,
     _farthest,
-    _hiding_share,
-    _showing_share,
+    _max_hiding_transmittance,
+    _max_invisible_share,
     apply_haze,
     extinction,
     extinctions,
-    hides_beyond_m,
+    hiding_distance_m,
     visibility_of,
 )  # fmt: skip
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
@@ -59,16 +59,16 @@ def floor(tmp_path):
 
 
 def hidden_beyond_m(scene: Scene) -> float:
-    return hides_beyond_m(scene, scene.view("v"))
+    return hiding_distance_m(scene, scene.view("v"))
 
 
-def points(scene: Scene, away_m: np.ndarray, facing: np.ndarray, albedo: np.ndarray) -> tuple[PerspectiveView, GeometryBuffer]:
+def points(scene: Scene, distance_m: np.ndarray, facing: np.ndarray, albedo: np.ndarray) -> tuple[PerspectiveView, GeometryBuffer]:
     """A buffer (1, n) of points at distances (n,) east of the eye with normals (n, 3) and albedos (n, 3)."""
-    view = look_at(EYE_M, EYE_M + EAST, UP, 40.0, 1, len(away_m))
+    view = look_at(EYE_M, EYE_M + EAST, UP, 40.0, 1, len(distance_m))
     frame = view.frame(scene.world)
     normal = facing[None].astype(np.float32)
-    ones = np.ones((1, len(away_m)), np.float32)
-    position = (EYE_M + away_m[:, None] * EAST - frame.origin_earth_m) @ frame.frame_from_earth.T
+    ones = np.ones((1, len(distance_m)), np.float32)
+    position = (EYE_M + distance_m[:, None] * EAST - frame.origin_earth_m) @ frame.frame_from_earth.T
     kind = np.full(ones.shape, MESHES, np.uint8)
     buffer = GeometryBuffer(
         view, frame, ones > 0, position[None], 0 * ones, normal, normal, 0 * ones, kind, albedo=albedo[None].astype(np.float32)
@@ -76,9 +76,9 @@ def points(scene: Scene, away_m: np.ndarray, facing: np.ndarray, albedo: np.ndar
     return view, buffer
 
 
-def hazed(scene: Scene, color: np.ndarray, away_m: np.ndarray) -> np.ndarray:
+def hazed(scene: Scene, color: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
     """Linear colours (n, 3) as they arrive from distances (n,)."""
-    view, buffer = points(scene, away_m, np.tile(UP, (len(away_m), 1)), color)
+    view, buffer = points(scene, distance_m, np.tile(UP, (len(distance_m), 1)), color)
     out = color[None].astype(np.float32)
     apply_haze(out, ShadingBlock(scene, view, buffer, {}))
     return out[0]
@@ -169,7 +169,7 @@ def test_the_encoders_bins():
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92))
 def test_what_shows_nowhere_moves_no_colour_by_two(color, horizon):
-    share = _showing_share((horizon,), (horizon,))
+    share = _max_invisible_share((horizon,), (horizon,))
     near = np.linspace(max(color - 2 * BIN, 0.0), min(color + 2 * BIN, 1.0), 400)
     moved = near + share * (horizon - near)
     assert np.abs(srgb_encoded(moved).astype(int) - srgb_encoded(near)).max() <= 1
@@ -177,7 +177,7 @@ def test_what_shows_nowhere_moves_no_colour_by_two(color, horizon):
 
 @pytest.mark.parametrize("horizon", [0.0144, 0.1, 0.5, 0.92])
 def test_a_tenth_more_than_what_shows_nowhere_shows(horizon):
-    share = 1.1 * _showing_share((horizon,), (horizon,))
+    share = 1.1 * _max_invisible_share((horizon,), (horizon,))
     color = np.linspace(0.0, 1.0, 200_000)
     moved = color + share * (horizon - color)
     assert np.abs(srgb_encoded(moved).astype(int) - srgb_encoded(color)).max() == 2
@@ -185,7 +185,7 @@ def test_a_tenth_more_than_what_shows_nowhere_shows(horizon):
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92), st.floats(0.05, 1.0), st.sampled_from([1.0, 0.8, 0.5, 0.2]))
 def test_what_is_hidden_is_alike_in_sun_and_shadow(dark, horizon, white, part):
-    share = _hiding_share((horizon,) * 3, (white,) * 3)
+    share = _max_hiding_transmittance((horizon,) * 3, (white,) * 3)
     dark = (1.0 - white) * dark + np.linspace(0.0, 8 * BIN, 400)
     shadow = part * ((1.0 - share) * horizon + share * dark)
     sun = shadow + part * share * white
@@ -195,7 +195,7 @@ def test_what_is_hidden_is_alike_in_sun_and_shadow(dark, horizon, white, part):
 SUNS = {"day": 50.0, "low": 14.0, "evening": 2.0, "sunset": 0.5}
 
 
-def difference_of_sunlight(scene: Scene, away_m: float) -> np.ndarray:
+def difference_of_sunlight(scene: Scene, distance_m: float) -> np.ndarray:
     """Steps (n,) between sun and shadow on points of all colours and directions at a distance."""
     rng = np.random.default_rng(0)
     count = 20_000
@@ -203,7 +203,7 @@ def difference_of_sunlight(scene: Scene, away_m: float) -> np.ndarray:
     facing[: count // 2] = scene.sun.to_sun_earth
     facing /= np.linalg.norm(facing, axis=1)[:, None]
     albedo = rng.random((count, 3)) ** 0.2
-    view, buffer = points(scene, np.full(count, away_m), facing, albedo)
+    view, buffer = points(scene, np.full(count, distance_m), facing, albedo)
     pictures = []
     for share in (0.0, 1.0):
         color = shade(buffer, scene, np.full(buffer.there.shape, share, np.float32))
@@ -216,7 +216,7 @@ def difference_of_sunlight(scene: Scene, away_m: float) -> np.ndarray:
 @pytest.mark.parametrize("visibility", [80, 5000])
 def test_beyond_its_distance_haze_hides_what_the_sun_does_and_before_it_does_not(floor, altitude, visibility):
     scene = floor(sun={"azimuth": 130, "altitude": altitude}, weather={"visibility": visibility})
-    beyond_m = hides_beyond_m(scene, scene.view("v"))
+    beyond_m = hiding_distance_m(scene, scene.view("v"))
     assert difference_of_sunlight(scene, beyond_m * 1.0001).max() <= 1
     assert difference_of_sunlight(scene, 2.0 * beyond_m).max() <= 1
     assert difference_of_sunlight(scene, 0.8 * beyond_m).max() > 1

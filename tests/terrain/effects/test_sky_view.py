@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects.effect import ShadingBlock
-from skugga.terrain.effects.sky_view import EFFECT, apply_sky_view, darkened_steps
-from skugga.terrain.gbuffer.picture import frame_of, geometry_of
+from skugga.terrain.effects.sky_view import EFFECT, apply_sky_view, max_darkening_steps
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer, view_frame
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.sky_view_factor import hidden_sky, pyramid, sky_view, sky_view_nodes
 from tests.render import plan_of, render
@@ -186,11 +186,11 @@ def test_parts_of_a_map_agree(write_raster, make_scene) -> None:
 
     def seen(view: MapView) -> np.ndarray:
         skylight = np.ones((view.rows, view.cols), np.float32)
-        apply_sky_view(skylight, ShadingBlock(scene, view, geometry_of(scene, view), {}))
+        apply_sky_view(skylight, ShadingBlock(scene, view, geometry_buffer(scene, view), {}))
         return skylight
 
     part = whole.part(96, 44, 32, 40)
-    assert frame_of(scene, part).key != frame_of(scene, whole).key
+    assert view_frame(scene, part).key != view_frame(scene, whole).key
     assert seen(whole).min() < 0.99
     np.testing.assert_allclose(seen(part), seen(whole)[96:128, 44:84], atol=2e-7)
 
@@ -214,6 +214,6 @@ def test_zoomed_out_the_pixels_show_means(write_raster, make_scene) -> None:
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_more_hidden_darkens_more(light: float, share: float) -> None:
     """Steps grow with what is hidden and with the light that is there to hide."""
-    assert darkened_steps(light, 0.0) == 0
-    assert darkened_steps(light, share) <= darkened_steps(light, 1.0) == darkened_steps(light, 1.0)
-    assert darkened_steps(light / 2.0, share) <= darkened_steps(light, share) + 1
+    assert max_darkening_steps(light, 0.0) == 0
+    assert max_darkening_steps(light, share) <= max_darkening_steps(light, 1.0) == max_darkening_steps(light, 1.0)
+    assert max_darkening_steps(light / 2.0, share) <= max_darkening_steps(light, share) + 1

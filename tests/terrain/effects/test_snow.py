@@ -12,10 +12,10 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import snow
 from skugga.terrain.effects.effect import PixelSize, ShadingBlock
-from skugga.terrain.effects.snow import BARE_DEG, HELD_DEG, ROCK, ROUGH_DEG, SNOW, apply_snow
+from skugga.terrain.effects.snow import FULL_SNOW_DEG, NO_SNOW_DEG, ROCK, ROUGH_DEG, SNOW, apply_snow
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, Shown
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import albedo_of
@@ -40,27 +40,27 @@ def snowed(scene: Scene) -> tuple[np.ndarray, np.ndarray, GeometryBuffer]:
     """Albedo before and after, and the buffer, of a small map."""
     view = scene.view(size=(100, 100))
     assert isinstance(view, MapView)
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     albedo = albedo_of(buffer, scene)
     before = albedo.copy()
     apply_snow(albedo, ShadingBlock(scene, view, buffer, {}))
     return before, albedo, buffer
 
 
-@pytest.mark.parametrize("slope_deg", [0.0, 15.0, HELD_DEG - 1.6 * ROUGH_DEG])
+@pytest.mark.parametrize("slope_deg", [0.0, 15.0, FULL_SNOW_DEG - 1.6 * ROUGH_DEG])
 def test_white_where_snow_holds(slope, slope_deg: float) -> None:
     _, albedo, buffer = snowed(slope(slope_deg))
     assert np.allclose(albedo[buffer.there], SNOW, atol=0.01)
 
 
-@pytest.mark.parametrize("slope_deg", [BARE_DEG + 2 * ROUGH_DEG, 75.0])
+@pytest.mark.parametrize("slope_deg", [NO_SNOW_DEG + 2 * ROUGH_DEG, 75.0])
 def test_rock_and_no_tint_where_it_slid_off(slope, slope_deg: float) -> None:
     _, albedo, buffer = snowed(slope(slope_deg))
     assert np.allclose(albedo[buffer.there], ROCK, atol=0.01)
 
 
 def test_the_edge_of_the_snow_is_no_contour_line(slope) -> None:
-    _, albedo, buffer = snowed(slope((HELD_DEG + BARE_DEG) / 2))
+    _, albedo, buffer = snowed(slope((FULL_SNOW_DEG + NO_SNOW_DEG) / 2))
     share = (albedo[buffer.there][:, 0] - ROCK[0]) / (SNOW[0] - ROCK[0])
     assert 0.3 < share.mean() < 0.7
     assert share.std() > 0.1
@@ -68,15 +68,15 @@ def test_the_edge_of_the_snow_is_no_contour_line(slope) -> None:
 
 
 def test_steeper_holds_less() -> None:
-    shares = [snow._held(slope_deg, 3.0, 4.0, 1.0) for slope_deg in np.linspace(0.0, 90.0, 200)]
+    shares = [snow._slope_snow_share(slope_deg, 3.0, 4.0, 1.0) for slope_deg in np.linspace(0.0, 90.0, 200)]
     assert shares[0] == 1.0 and shares[-1] == 0.0
-    assert (np.diff(shares)[np.linspace(0.0, 90.0, 200)[1:] < HELD_DEG - 2 * ROUGH_DEG] == 0.0).all()
+    assert (np.diff(shares)[np.linspace(0.0, 90.0, 200)[1:] < FULL_SNOW_DEG - 2 * ROUGH_DEG] == 0.0).all()
 
 
 def test_noise_goes_where_pixels_are_wide() -> None:
-    middle = (HELD_DEG + BARE_DEG) / 2
-    assert {float(snow._held(middle, 37.0 * k, 11.0 * k, snow.ROUGH_M)) for k in range(9)} == {0.5}
-    assert len({float(snow._held(middle, 37.0 * k, 11.0 * k, 1.0)) for k in range(9)}) > 5
+    middle = (FULL_SNOW_DEG + NO_SNOW_DEG) / 2
+    assert {float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, snow.ROUGH_M)) for k in range(9)} == {0.5}
+    assert len({float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, 1.0)) for k in range(9)}) > 5
 
 
 def test_none_on_water(slope) -> None:
@@ -94,7 +94,7 @@ def test_roofs_but_no_walls_and_crowns_from_above() -> None:
     own = np.full((1, 5, 3), 0.1, np.float32)
     albedo = own.copy()
     shown = Shown(np.ones((1, 5), bool), kind, np.zeros((1, 5, 3)), np.zeros((1, 5), np.float32), normal)
-    snow._lie_on(albedo, shown, own, DOWN, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 100.0))
+    snow._whiten(albedo, shown, own, DOWN, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 100.0))
     roof, wall, top, side, ground = albedo[0]
     assert np.allclose(roof, SNOW) and np.allclose(ground, SNOW)
     assert np.allclose(wall, 0.1) and np.allclose(side, 0.1)
@@ -108,17 +108,17 @@ def test_imagery_shows_its_own_rock() -> None:
         np.ones((1, 1), bool), np.full((1, 1), RELIEF, np.uint8), np.zeros((1, 1, 3)), np.zeros((1, 1), np.float32),
         np.array([[[1, 0, 0]]], np.float32),
     )  # fmt: skip
-    snow._lie_on(albedo, shown, own, DOWN, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 1.0))
+    snow._whiten(albedo, shown, own, DOWN, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 1.0))
     assert np.allclose(albedo, 0.3)
 
 
 def test_same_ground_same_snow_in_every_part(slope) -> None:
-    scene = slope((HELD_DEG + BARE_DEG) / 2)
+    scene = slope((FULL_SNOW_DEG + NO_SNOW_DEG) / 2)
     whole = scene.view(size=(100, 100))
     part = whole.part(20, 30, 40, 50)
     drawn = []
     for view in (whole, part):
-        buffer = geometry_of(scene, view)
+        buffer = geometry_buffer(scene, view)
         albedo = albedo_of(buffer, scene)
         apply_snow(albedo, ShadingBlock(scene, view, buffer, {}))
         drawn.append(albedo)

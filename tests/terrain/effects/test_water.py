@@ -15,7 +15,7 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
 from skugga.terrain.effects import water
 from skugga.terrain.effects.effect import ShadingBlock
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.shading import albedo_of, water_in
@@ -123,7 +123,7 @@ def test_water_far_below_all_ground_changes_nothing(write_raster, bowl_m):
 
 def test_the_shore_is_round_and_painted_to_it(make_lake):
     scene = make_lake()
-    buffer = geometry_of(scene, scene.view("map", size=(800, 600)))
+    buffer = geometry_buffer(scene, scene.view("map", size=(800, 600)))
     wet = water_in(buffer, scene)
     albedo = albedo_of(buffer, scene)
     np.testing.assert_allclose(albedo[wet], np.broadcast_to(scene.style.water, albedo[wet].shape), atol=1e-6)
@@ -174,7 +174,7 @@ def test_straight_down_water_keeps_all_but_a_fiftieth_of_its_colour():
     foot, zenith = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.6, 0.7])
     sky = Sky(foot, foot, zenith, np.ones(3), 1.0, np.full(3, 4.0), np.array([0.5, 0.5]))
     there, centre = np.ones((1, 1), bool), np.array([0.0, 0.0, -1e12])
-    water._mirror(color, there, np.zeros((1, 1, 3)), None, centre, sky, water.MEAN_SQUARE_SLOPE, np.zeros(3), None, None)
+    water._add_reflections(color, there, np.zeros((1, 1, 3)), None, centre, sky, water.MEAN_SQUARE_SLOPE, np.zeros(3), None, None)
     share = 1.0 - np.exp(-4.0)
     np.testing.assert_allclose(color[0, 0], 0.98 * 0.4 + 0.02 * ((1.0 - share) * foot + share * zenith), atol=1e-6)
 
@@ -198,7 +198,7 @@ def test_water_is_called_for_by_day_and_changes_water_alone(make_lake, name):
     assert verdict(scene, name).called_for
     on, off = (drawn(scene, name, way) for way in (True, False))
     changed = (on != off).any(axis=-1)
-    buffer = geometry_of(scene, scene.view(name))
+    buffer = geometry_buffer(scene, scene.view(name))
     assert changed.any() and (np.abs(on - off).max() > 1)
     far = ~water_in(buffer, scene)
     if name == "map":
@@ -239,17 +239,17 @@ def test_a_level_without_water_has_none(write_raster, make_scene, bowl_m):
 
 def test_glint_is_computed_only_where_the_sun_can_be_mirrored_to_the_eye(make_lake):
     scene = make_lake(altitude=70.0)
-    assert water.glints(scene, scene.view("map"))
+    assert water.has_glint(scene, scene.view("map"))
     low, night = (scene.with_sun(SunSpec(azimuth=90.0, altitude=a)) for a in (20.0, -5.0))
-    assert not water.glints(low, low.view("map")) and not water.glints(night, night.view("rim"))
+    assert not water.has_glint(low, low.view("map")) and not water.has_glint(night, night.view("rim"))
     towards, from_behind = (scene.with_sun(SunSpec(azimuth=a, altitude=20.0)) for a in (90.0, 270.0))
-    assert water.glints(towards, towards.view("rim")) and not water.glints(from_behind, from_behind.view("rim"))
+    assert water.has_glint(towards, towards.view("rim")) and not water.has_glint(from_behind, from_behind.view("rim"))
 
 
 def test_glint_stays_out_of_shadow(make_lake):
     scene = make_lake(altitude=25.0)
     view = scene.view("rim")
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     wet = water_in(buffer, scene)
     shown = []
     for lit in (0.0, 1.0):
@@ -269,7 +269,7 @@ def test_a_pond_between_the_points_of_the_look_is_not_missed(make_lake, bowl_m):
     seen = 0
     for shift in range(8):
         view = eye.shifted(shift, 3 * shift)
-        on_water = water_in(geometry_of(scene, view), scene).any()
+        on_water = water_in(geometry_buffer(scene, view), scene).any()
         assert water.called_for(describe(scene, view, "rim")).called_for >= on_water
         seen += on_water
     assert seen > 0

@@ -21,7 +21,7 @@ from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
 from skugga.terrain.facts.leaf_rays import first_leaf_hits
 from skugga.terrain.facts.mesh_rays import any_hit, bvh_of
 from skugga.terrain.facts.probes import quasirandom, stratified_indices
-from skugga.terrain.facts.silhouette_facts import edge_faces_of, layers_before, length_px
+from skugga.terrain.facts.silhouette_facts import mean_volume_layers, mesh_edges, projected_length
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
@@ -151,8 +151,8 @@ def test_the_outline_of_a_box_has_six_edges_and_that_of_a_plate_four(tmp_path, b
 
 
 def test_edges_are_shared_by_position():
-    edges = edge_faces_of(np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 2], [3, 4, 5]]))
-    assert len(edges.ends) == 5 and (edges.beside[:, 1] >= 0).sum() == 1
+    edges = mesh_edges(np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 2], [3, 4, 5]]))
+    assert len(edges.ends) == 5 and (edges.triangle_pair[:, 1] >= 0).sum() == 1
 
 
 def test_the_length_of_an_edge_is_what_falls_into_the_picture():
@@ -160,23 +160,23 @@ def test_the_length_of_an_edge_is_what_falls_into_the_picture():
     inside = np.array([[[-5.0, 0.0, 100.0], [5.0, 0.0, 100.0]]])
     half = np.array([[[0.0, 0.0, 10.0], [20.0, 0.0, 10.0]]])
     behind = np.array([[[-1.0, 0.0, -5.0], [1.0, 0.0, -5.0]]])
-    assert length_px(inside, low, high) == pytest.approx(0.1)
-    assert length_px(half, low, high) == pytest.approx(1.0)
-    assert length_px(behind, low, high) == 0.0
+    assert projected_length(inside, low, high) == pytest.approx(0.1)
+    assert projected_length(half, low, high) == pytest.approx(1.0)
+    assert projected_length(behind, low, high) == 0.0
 
 
 @pytest.mark.parametrize(
-    ("light", "at_place"), [(np.array([0.0, 0.0, 1.0]), False), (np.array([5.0, 0.0, 20.0]), True)], ids=["sun", "lamp"]
+    ("light", "is_positional"), [(np.array([0.0, 0.0, 1.0]), False), (np.array([5.0, 0.0, 20.0]), True)], ids=["sun", "lamp"]
 )
-def test_one_side_of_a_shadow_volume_lies_before_what_is_seen_through_it(light, at_place):
+def test_one_side_of_a_shadow_volume_lies_before_what_is_seen_through_it(light, is_positional):
     """An edge 10 m up, from x = 0 to 10: its side hangs down from it, wider below a lamp."""
     ends = np.array([[[0.0, 0.0, 10.0], [10.0, 0.0, 10.0]]])
     start = np.tile([5.0, -20.0, 5.0], (4, 1))
     way = np.array([[0.0, 40.0, 0.0], [0.0, 10.0, 0.0], [0.0, 40.0, 20.0], [12.0, 40.0, 0.0]])
-    through, short, above, beside = (layers_before(ends, light, at_place, start[:1], one[None]) for one in way)
+    through, short, above, triangle_pair = (mean_volume_layers(ends, light, is_positional, start[:1], one[None]) for one in way)
     assert (through, short, above) == (1.0, 0.0, 0.0)
-    assert beside == (1.0 if at_place else 0.0)
-    assert layers_before(ends, light, at_place, start, way) == pytest.approx((2.0 if at_place else 1.0) / 4.0)
+    assert triangle_pair == (1.0 if is_positional else 0.0)
+    assert mean_volume_layers(ends, light, is_positional, start, way) == pytest.approx((2.0 if is_positional else 1.0) / 4.0)
 
 
 @settings(max_examples=20)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
-from skugga.terrain.effects.lamps import unseen_together
+from skugga.terrain.effects.lamps import negligible_lamps
 from skugga.terrain.facts import light_facts
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
@@ -120,19 +120,21 @@ def test_lamps_that_are_dim_alone_are_seen_together(gl, dim_scene):
 
 
 def test_the_dimmest_are_left_out_as_long_as_their_sum_does_not_show():
-    assert unseen_together({}, 1.0) == set()
-    assert unseen_together({"a": 0.4, "b": 0.1, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b", "c"}, "a sum that is no more than the limit"
-    assert unseen_together({"a": 0.4, "b": 0.2, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b"}
-    assert unseen_together({"a": 0.9, "b": 0.9, "c": 0.9}, 1.0) == {"a"}
+    assert negligible_lamps({}, 1.0) == set()
+    assert negligible_lamps({"a": 0.4, "b": 0.1, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b", "c"}, (
+        "a sum that is no more than the limit"
+    )
+    assert negligible_lamps({"a": 0.4, "b": 0.2, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b"}
+    assert negligible_lamps({"a": 0.9, "b": 0.9, "c": 0.9}, 1.0) == {"a"}
     here, there = np.array([0.9, 0.0]), np.array([0.0, 0.8])
-    assert unseen_together({"a": here, "b": there}, 1.0) == {"a", "b"}, "no point has the light of both"
-    assert unseen_together({"a": here, "b": there, "c": here}, 1.0) == {"b", "a"}
-    assert unseen_together({"a": 0.0, "b": 2.0, "c": 0.0}, 0.0) == {"a", "c"}, "what does not shine at all is never missed"
+    assert negligible_lamps({"a": here, "b": there}, 1.0) == {"a", "b"}, "no point has the light of both"
+    assert negligible_lamps({"a": here, "b": there, "c": here}, 1.0) == {"b", "a"}
+    assert negligible_lamps({"a": 0.0, "b": 2.0, "c": 0.0}, 0.0) == {"a", "c"}, "what does not shine at all is never missed"
 
 
 @given(most=st.dictionaries(st.text(max_size=3), st.integers(0, 10), max_size=12), least=st.integers(0, 30))
 def test_any_lamps_that_are_left_out_come_to_less_than_shows(most, least):
-    unseen = unseen_together(most, least)
+    unseen = negligible_lamps(most, least)
     seen = most.keys() - unseen
     together = sum(most[name] for name in unseen)
     assert unseen <= most.keys() and together <= least

@@ -14,9 +14,9 @@ from skugga.shadows import render as render_module
 from skugga.shadows.render import Frame
 from skugga.terrain.describe import describe
 from skugga.terrain.facts.coarse_view import COARSE_STEP_PX, coarse_view_of
-from skugga.terrain.gbuffer.antialias import MultisampledBuffer, edges_in_neighbours, multisampled
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.antialias import MultisampledBuffer, edge_mask_of_crosses, multisampled
 from skugga.terrain.gbuffer.resolve import MESHES, NO_SURFACE, RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -42,20 +42,22 @@ def tower(floor, make_scene, tmp_path) -> Scene:
 def unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
     """The frame with one point a pixel."""
     with monkeypatch.context() as patch:
-        patch.setattr(render_module, "picture_buffer", lambda scene, part: MultisampledBuffer(geometry_of(scene, part), part.rows))
+        patch.setattr(
+            render_module, "picture_buffer", lambda scene, part: MultisampledBuffer(geometry_buffer(scene, part), part.rows)
+        )
         return render(scene, scene.view("eye"))
 
 
 def wall_share(scene: Scene, view: PerspectiveView) -> np.ndarray:
     """Share of each pixel that shows a mesh, by 16 x 16 points."""
-    fine = geometry_of(scene, view.finer(16)).kind == MESHES
+    fine = geometry_buffer(scene, view.finer(16)).kind == MESHES
     return fine.reshape(view.rows, 16, view.cols, 16).mean(axis=(1, 3))
 
 
 def test_edges_are_between_and_the_inside_is_plain(gl, tower, monkeypatch):
     """On the outline against the sky colours between the sky's and the wall's; a face's inside is of one colour."""
     view = tower.view("eye")
-    frame, plain, buffer = render(tower, view), unsampled(monkeypatch, tower), geometry_of(tower, view)
+    frame, plain, buffer = render(tower, view), unsampled(monkeypatch, tower), geometry_buffer(tower, view)
     wall, sky = buffer.kind == MESHES, buffer.kind == NO_SURFACE
     assert 0.1 < wall.mean() < 0.9 and sky.mean() > 0.1
     share = wall_share(tower, view)
@@ -178,8 +180,8 @@ def test_looks_through_all_pixels_find_what_is_sampled(gl, tower):
     for row in range(COARSE_STEP_PX):
         for col in range(COARSE_STEP_PX):
             look = coarse_view_of(tower, view.shifted(row, col))
-            its = look.crosses
-            found[its.row + row, its.col + col] = edges_in_neighbours(its.number, its.away_m, its.ground, its.normals)
+            its = look.edge_samples
+            found[its.row + row, its.col + col] = edge_mask_of_crosses(its.number, its.distance_m, its.ground, its.normals)
             shares.append(look.edge_share)
     marked = marked[1:-1, 1:-1]
     assert 0.02 < marked.mean() < 0.2 and (found != marked).mean() < 1e-3
@@ -189,10 +191,10 @@ def test_looks_through_all_pixels_find_what_is_sampled(gl, tower):
 def test_a_look_that_meets_the_sky_alone_goes_through_every_pixel(gl, tower):
     """Of a few pixels at the tower's outline the first one shows the sky: all of them are looked at, and their edges found."""
     view = tower.view("eye")
-    wall = geometry_of(tower, view).kind == MESHES
+    wall = geometry_buffer(tower, view).kind == MESHES
     row = int(np.flatnonzero(wall.any(axis=1))[0]) + 12
     part = view.part(row, int(np.flatnonzero(wall[row])[0]) - 4, 7, 7)
-    there = geometry_of(tower, part).there
+    there = geometry_buffer(tower, part).there
     assert not there[0, 0] and there.any()
     assert coarse_view_of(tower, part).edge_share == pytest.approx(len(multisampled(tower, part).pixels[0]) / 49)
 

@@ -11,7 +11,7 @@ from pyproj import Transformer
 
 from skugga.terrain.gbuffer import ground_mesh as module
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_creases, ground_mesh
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
@@ -191,7 +191,7 @@ def test_strips_have_the_triangles_they_have(gl, write_raster, make_scene, shape
     scene = make_scene(raster, views=views)
     mesh = ground_mesh(scene, view_of(scene))
     assert len(mesh.triangles) == 2 * (shape[0] - 1) * (shape[1] - 1)
-    assert geometry_of(scene, view_of(scene)).there.any() == (min(shape) > 1)
+    assert geometry_buffer(scene, view_of(scene)).there.any() == (min(shape) > 1)
     frame = render(scene, view_of(scene))
     assert frame.there.any() == (min(shape) > 1)
 

@@ -8,7 +8,7 @@ import pytest
 from skugga.api.catalogue import find_level
 from skugga.terrain.gbuffer import id_buffer
 from skugga.terrain.gbuffer.antialias import multisampled
-from skugga.terrain.gbuffer.picture import RasterisedView
+from skugga.terrain.gbuffer.view_geometry import RasterisedView
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
@@ -36,8 +36,8 @@ def test_ground_beside_the_view_is_not_missed(gl, landscape, monkeypatch, name):
         counts.append((len(id_buffer_in_view(position, triangles, *args)), len(triangles)))
         return np.arange(len(triangles))
 
-    id_buffer_in_view = id_buffer._in_view
-    monkeypatch.setattr(id_buffer, "_in_view", every)
+    id_buffer_in_view = id_buffer._triangles_in_frustum
+    monkeypatch.setattr(id_buffer, "_triangles_in_frustum", every)
     every_one = RasterisedView(landscape, view, frame).seen
     assert all(0 < ahead < there for ahead, there in counts), counts
     np.testing.assert_array_equal(some.number, every_one.number)
@@ -47,12 +47,12 @@ def test_ground_beside_the_view_is_not_missed(gl, landscape, monkeypatch, name):
 def test_wanted_pixels_show_what_they_show_among_all(gl, landscape):
     """And the others nothing."""
     view = part_of(landscape, "main")
-    frame, wanted = view.frame(landscape.world), np.random.default_rng(5).random((view.rows, view.cols)) < 0.3
-    whole, some = RasterisedView(landscape, view, frame).seen, RasterisedView(landscape, view, frame, wanted=wanted).seen
-    assert (whole.number[wanted] > 0).mean() > 0.5
-    np.testing.assert_array_equal(some.number[wanted], whole.number[wanted])
-    np.testing.assert_array_equal(some.albedo_root[wanted], whole.albedo_root[wanted])
-    assert not some.number[~wanted].any()
+    frame, pixel_mask = view.frame(landscape.world), np.random.default_rng(5).random((view.rows, view.cols)) < 0.3
+    whole, some = RasterisedView(landscape, view, frame).seen, RasterisedView(landscape, view, frame, pixel_mask=pixel_mask).seen
+    assert (whole.number[pixel_mask] > 0).mean() > 0.5
+    np.testing.assert_array_equal(some.number[pixel_mask], whole.number[pixel_mask])
+    np.testing.assert_array_equal(some.sqrt_albedo[pixel_mask], whole.sqrt_albedo[pixel_mask])
+    assert not some.number[~pixel_mask].any()
 
 
 def test_what_a_view_shows_is_kept_under_another_sun(gl, landscape):

@@ -11,11 +11,11 @@ from pyproj import CRS, Geod, Transformer
 
 from skugga.api.catalogue import find_level
 from skugga.api.compute import product_of_frame
-from skugga.shadows.truth.truth import sub_views
+from skugga.shadows.truth.truth import jittered_views
 from skugga.terrain.gbuffer.geometry import map_geometry
-from skugga.terrain.gbuffer.picture import frame_of, geometry_of, shared_nodes
-from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.gbuffer.light_facing import facing_normals
 from skugga.terrain.gbuffer.subsampled import subsampled_view
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer, shared_nodes, view_frame
 from skugga.terrain.geo.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
 from skugga.terrain.geo.world import World
 from skugga.terrain.ground.sheet import sheet_triangles
@@ -185,10 +185,10 @@ def test_sub_samples_that_share_nodes_are_the_same_to_the_bit():
     scene = build_scene(load_level(find_level("jacksboro")))
     full = scene.view("map")
     for view in (full.part(100, 200, 90, 70), subsampled_view(full.part(301, 202, 90, 70), 4)):
-        frame, views = frame_of(scene, view), sub_views(view, 4)
+        frame, views = view_frame(scene, view), jittered_views(view, 4)
         nodes = shared_nodes(scene, views, frame)
         for each in views:
-            alone, shared = geometry_of(scene, each, frame), geometry_of(scene, each, frame, nodes=nodes)
+            alone, shared = geometry_buffer(scene, each, frame), geometry_buffer(scene, each, frame, nodes=nodes)
             assert alone.there.any()
             for name in (
                 "there",
@@ -205,4 +205,4 @@ def test_sub_samples_that_share_nodes_are_the_same_to_the_bit():
             for one, other in zip(facing_normals(alone, light), facing_normals(shared, light), strict=True):
                 assert np.array_equal(one, other, equal_nan=True)
         with pytest.raises(ValueError, match="nodes"):
-            geometry_of(scene, view.shifted(2.0, 0.0), frame, nodes=nodes)
+            geometry_buffer(scene, view.shifted(2.0, 0.0), frame, nodes=nodes)

@@ -13,8 +13,8 @@ from pyproj import Transformer
 
 from skugga.shadows.render import render_frame
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.scene import Scene
 from skugga.terrain.trees.foliage import TREE_VARIANTS
 from tests.rasters import ENGINEERING
@@ -53,7 +53,7 @@ def pixel_centres(view) -> tuple[np.ndarray, np.ndarray]:
 
 def buffers(scene: Scene, bounds, size) -> tuple[GeometryBuffer, np.ndarray, np.ndarray]:
     view = scene.view(bounds=bounds, size=size)
-    return geometry_of(scene, view), *pixel_centres(view)
+    return geometry_buffer(scene, view), *pixel_centres(view)
 
 
 @pytest.mark.parametrize("turn", [0.0, 30.0, 45.0])
@@ -229,8 +229,8 @@ def test_a_block_s_part_has_the_block_s_points(gl, rolling, make_scene, tmp_path
     trees = written(tmp_path / "trees.gpkg", [shapely.Point(*p) for p in places], height=rng.uniform(8, 20, 100))
     scene = make_scene(rolling, forest=[{"source": trees, "height": "height"}])
     view = scene.view(bounds=(X0 + 200, Y0 - 400, X0 + 400, Y0 - 200), size=(300, 300))
-    whole = geometry_of(scene, view)
-    part = geometry_of(scene, view.part(31, 77, 128, 96), whole.frame)
+    whole = geometry_buffer(scene, view)
+    part = geometry_buffer(scene, view.part(31, 77, 128, 96), whole.frame)
     ours = slice(31, 159), slice(77, 173)
     differ = part.kind != whole.kind[ours]
     assert differ.mean() < 1e-3 and (whole.kind[ours] == FOREST).mean() > 0.02

@@ -14,8 +14,8 @@ from skugga.shadows.render import render_frame
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
 from skugga.terrain.gbuffer.resolve import MESHES, RELIEF
+from skugga.terrain.gbuffer.view_geometry import RasterisedView, geometry_buffer, resolve_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import srgb_encoded
@@ -75,7 +75,7 @@ def off_px(view: PerspectiveView, point: np.ndarray, eye: np.ndarray, ray: np.nd
 
 def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
     """What is there is the floor, its points where the rays meet height 0; what the rays miss is not there."""
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     eye, ray = rays_in_frame(view, buffer)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.where(ray[..., 2] < 0.0, -eye[2] / ray[..., 2], np.nan)
@@ -139,7 +139,7 @@ def test_the_globe_from_the_edge_of_space(gl, hills, make_scene):
     """500 km up over ground in a UTM zone: finite, and on the ground where a place says."""
     scene = make_scene(hills, views=eye_view((*at(1600, 1600), 500_000), (*at(1600, 1600), 0.0), fov=0.6))
     view = scene.view("eye")
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     assert 0.1 < buffer.there.mean() < 0.9
     frame = render(scene, view)
     x, y, height = scene.world.map_position(scene.elevation.crs, frame.position_earth_m[frame.there])
@@ -153,7 +153,7 @@ def test_points_on_the_globe_lie_on_the_triangle_that_is_seen(gl, hills, make_sc
     scene = make_scene(hills, views=eye_view((*at(300, 300), 60), (*at(1500, 1500), 0), size=(160, 100)))
     view = scene.view("eye")
     visible = RasterisedView(scene, view, view.frame(scene.world))
-    buffer = buffer_of(scene, view, visible)
+    buffer = resolve_buffer(scene, view, visible)
     there = buffer.there
     assert there.mean() > 0.4 and (visible.seen.number[there] > 0).all() and (visible.seen.number[~there] == 0).all()
     ground = visible.ground
@@ -191,7 +191,7 @@ def test_a_box_shows_its_faces_in_their_planes_with_normals_outward(gl, floor, m
     meshes = [{"source": "box.obj", "at": list(at), "color": [1.0, 0.0, 0.0]}]
     scene = make_scene(floor, meshes=meshes, views=eye_view((0, 0, 25), (20, 30, 3), size=(120, 90), fov=30.0))
     view = scene.view("eye")
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     box = buffer.kind == MESHES
     assert box.mean() > 0.1
     point = buffer.position_frame_m[box] + buffer.frame.origin_earth_m - [*at, 4.0]
@@ -232,7 +232,7 @@ def test_a_sheet_is_seen_from_behind_with_its_normal_to_the_eye(gl, floor, make_
         scene = make_scene(
             floor, meshes=[{"source": "sheet.obj", "at": [0, 0]}], views=eye_view((0, -60 * south, 12), (0, 0, 12), fov=20.0)
         )
-        buffer = geometry_of(scene, scene.view("eye"))
+        buffer = geometry_buffer(scene, scene.view("eye"))
         seen = buffer.kind == MESHES
         assert seen.mean() > 0.5
         np.testing.assert_allclose(buffer.normal_frame[seen], np.tile([0, -south, 0], (seen.sum(), 1)), atol=1e-6)

@@ -15,11 +15,11 @@ from skugga.api.catalogue import find_level
 from skugga.shadows.truth import truth
 from skugga.shadows.truth.truth import ALL_KINDS
 from skugga.terrain.casters.rays import sample_alpha
-from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer import tree_instances as module
-from skugga.terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
 from skugga.terrain.gbuffer.resolve import FOREST
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
+from skugga.terrain.gbuffer.view_geometry import RasterisedView, geometry_buffer, resolve_buffer
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -88,7 +88,7 @@ def test_what_is_seen_of_a_tree_is_its_quads_cut_out_by_their_pictures(gl, floor
     scene = wooded(floor, [[0.0, 0.0]], height=20.0, crown=9.0, species=species)
     view = eye_at(scene, (11.0, -15.0, 17.0), (0.0, 0.0, 9.0), 62.0, (420, 640))  # two pixels a texel: no mipmap
     visible = RasterisedView(scene, view, view.frame(scene.world))
-    buffer = buffer_of(scene, view, visible)
+    buffer = resolve_buffer(scene, view, visible)
     stand = visible.tree_instances
     assert stand is not None and len(stand) == 1
     quads = stand.corners()[0]
@@ -121,7 +121,7 @@ def test_points_of_trees_lie_on_their_quads_where_these_are_opaque(gl, floor, wo
     scene = wooded(floor, rng.uniform(-40, 40, (40, 2)), height=rng.uniform(8, 20, 40), crown=rng.uniform(4, 9, 40))
     view = eye_at(scene, (5.0, -75.0, 14.0), (0.0, 0.0, 6.0), 50.0, (400, 300))
     visible = RasterisedView(scene, view, view.frame(scene.world))
-    buffer = buffer_of(scene, view, visible)
+    buffer = resolve_buffer(scene, view, visible)
     stand = visible.tree_instances
     assert stand is not None
     seen = buffer.kind == FOREST
@@ -187,13 +187,13 @@ def test_culling_leaves_out_no_tree_that_is_seen_or_reaches_in(floor, wooded):
     corners = stand.corners().reshape(len(stand), 12, 3)
     at = (corners - eye) @ camera.T
     half = np.array([45, 30]) / view.focal_px
-    kept = stand.in_cone(eye, camera, np.column_stack([-half, half]))
+    kept = stand.in_frustum(eye, camera, np.column_stack([-half, half]))
     inside = ((np.abs(at[..., :2]) <= half * at[..., 2:]) & (at[..., 2:] > 0)).all(axis=2).any(axis=1)
     assert 50 < inside.sum() < 500 and set(np.flatnonzero(inside)) <= set(kept) and len(kept) < 2 * inside.sum()
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     translation, low, high = rng.normal(size=3), np.array([-20.0, -30.0, -50.0]), np.array([60.0, 40.0, 50.0])
     at = corners @ rotation.T + translation
-    kept = stand.reaching(rotation, translation, low, high)
+    kept = stand.in_box(rotation, translation, low, high)
     inside = ((at >= low) & (at <= high)).all(axis=2).any(axis=1)
     assert 20 < inside.sum() < 600 and set(np.flatnonzero(inside)) <= set(kept) and len(kept) < 3 * inside.sum()
 
@@ -208,7 +208,7 @@ def test_in_perspective_the_share_follows_the_distance(floor, wooded):
     view = eye_at(scene, (0, -380, 30), (0, 0, 0), 50.0, (160, 100))
     trees, stand = scene.objects.trees, stand_of(scene, view)
     away = np.linalg.norm(trees.base_earth_m - view.eye_earth_m, axis=1)
-    share = np.clip((5.0 * view.focal_px / away / module.ALL_TREES_PX) ** 2, module.MIN_DRAWN_SHARE, 1.0)
+    share = np.clip((5.0 * view.focal_px / away / module.FULL_STAND_TREE_PX) ** 2, module.MIN_DRAWN_SHARE, 1.0)
     np.testing.assert_array_equal(stand.number, np.flatnonzero(trees.rank < share))
     assert share.max() == 1.0 and share.min() < 0.2
     larger = 1 / np.sqrt(share[stand.number])
@@ -253,9 +253,9 @@ def test_in_a_map_the_share_is_one_for_all_and_follows_the_pixel(floor, wooded):
 
 def shadow_share(scene: Scene, view: PerspectiveView) -> float:
     """Truth's share of shadow on what a view shows of a stand and its ground."""
-    buffer = geometry_of(scene, view)
-    rays = truth.ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
-    return float(1.0 - truth.lit_from(buffer, scene, "sun", rays)[buffer.there].mean())
+    buffer = geometry_buffer(scene, view)
+    rays = truth.ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
+    return float(1.0 - truth.lit_mask(buffer, scene, "sun", rays)[buffer.there].mean())
 
 
 @pytest.mark.parametrize(("altitude", "density"), [(60.0, 400.0), (25.0, 500.0)])
@@ -264,7 +264,7 @@ def test_a_thinned_stand_keeps_its_shade(gl, floor, make_scene, tmp_path, monkey
     wood = shapely.to_wkb(np.array([shapely.box(-400, -400, 400, 400)], object))
     pyogrio.raw.write(tmp_path / "wood.gpkg", wood, [], [], geometry_type="Polygon", crs=ENGINEERING)
     spec = {"source": "wood.gpkg", "density": density, "height": [4.0, 4.0], "crown": [3.0, 3.0]}
-    monkeypatch.setattr(module, "ALL_TREES_PX", 1e6)
+    monkeypatch.setattr(module, "FULL_STAND_TREE_PX", 1e6)
     whole, thinned = [], []
     for least, shares in ((1.0, whole), (0.25, thinned)):
         monkeypatch.setattr(module, "MIN_DRAWN_SHARE", least)

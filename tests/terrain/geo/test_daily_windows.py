@@ -10,8 +10,8 @@ import pytest
 from pyproj import CRS
 
 from skugga.terrain.errors import InputError
-from skugga.terrain.geo.clock import SOLAR, date_of
-from skugga.terrain.geo.daily_windows import daily_window, dates_of, solar_min, windows_asked
+from skugga.terrain.geo.clock import SOLAR, parse_date
+from skugga.terrain.geo.daily_windows import daily_window, dates_of, solar_min, windows_between
 from skugga.terrain.geo.sun_path import sun_path
 from skugga.terrain.geo.world import World
 
@@ -29,15 +29,15 @@ def world() -> World:
 def test_days_on_which_clocks_change_are_shorter_and_longer(world, day, hours):
     window = daily_window(date.fromisoformat(day), 0.0, 1440.0, OSLO, world)
     assert window.minutes == hours * 60
-    assert window.reading_min(0.0) == 0.0
-    assert window.reading_min(window.minutes) == 1440.0  # the clock has been put forward or back
+    assert window.clock_time_min(0.0) == 0.0
+    assert window.clock_time_min(window.minutes) == 1440.0  # the clock has been put forward or back
 
 
 @pytest.mark.parametrize(("day", "before_min", "by"), [("2024-03-31", 120.0, 60.0), ("2024-10-27", 180.0, -60.0)])
 def test_the_clock_jumps_when_it_is_put_forward_or_back(world, day, before_min, by):
     window = daily_window(date.fromisoformat(day), 0.0, 1440.0, OSLO, world)
-    assert window.reading_min(before_min - 0.01) == pytest.approx(before_min, abs=0.02)
-    assert window.reading_min(before_min + 0.01) == pytest.approx(before_min + by, abs=0.02)
+    assert window.clock_time_min(before_min - 0.01) == pytest.approx(before_min, abs=0.02)
+    assert window.clock_time_min(before_min + 0.01) == pytest.approx(before_min + by, abs=0.02)
 
 
 def test_a_window_of_a_zone_lies_at_its_own_time(world):
@@ -50,7 +50,7 @@ def test_a_window_of_a_zone_lies_at_its_own_time(world):
 def test_a_reading_that_is_left_out_and_one_that_there_is_twice(world):
     left_out = daily_window(date(2024, 3, 31), 150.0, 240.0, OSLO, world)  # 02:30, which is 03:30 of summer time
     assert left_out.start == datetime(2024, 3, 31, 1, 30, tzinfo=UTC)
-    assert left_out.reading_min(0.0) == 210.0
+    assert left_out.clock_time_min(0.0) == 210.0
     twice = daily_window(date(2024, 10, 27), 150.0, 151.0, OSLO, world)  # from the first 02:30 to the second 02:31
     assert twice.minutes == 61.0
 
@@ -63,15 +63,15 @@ def test_days_meet_where_midnight_comes_twice(world, day, hours):
 
 
 def test_a_date_that_a_calendar_leaves_out_is_refused(world):
-    with pytest.raises(InputError, match=r"date: '2011-12-30' is not allowed. Allowed: a day of Pacific/Apia"):
+    with pytest.raises(InputError, match=r"date: '2011-12-30' is not allowed. Allowed: a day in the calendar of Pacific/Apia"):
         daily_window(date(2011, 12, 30), 0.0, 1440.0, APIA, world)
     with pytest.raises(InputError, match=r"to: '2011-12-30'"):
-        windows_asked(world, date(2011, 12, 28), date(2011, 12, 30), 1, (0.0, 1440.0), APIA)
+        windows_between(world, date(2011, 12, 28), date(2011, 12, 30), 1, (0.0, 1440.0), APIA)
 
 
 def test_dates_round_one_that_is_left_out_are_whole_days(world):
     """Four dates, of which the calendar has three: a mean over them has no day without sun."""
-    windows = windows_asked(world, date(2011, 12, 28), date(2011, 12, 31), 1, (0.0, 1440.0), APIA)
+    windows = windows_between(world, date(2011, 12, 28), date(2011, 12, 31), 1, (0.0, 1440.0), APIA)
     assert [window.date.day for window in windows] == [28, 29, 31]
     assert [window.minutes for window in windows] == [1440.0] * 3
     assert windows[1].start + timedelta(days=1) == windows[2].start
@@ -79,9 +79,9 @@ def test_dates_round_one_that_is_left_out_are_whole_days(world):
 
 @pytest.mark.parametrize("readings", [(120.0, 180.0), (150.0, 180.0)])
 def test_a_window_that_the_clock_goes_over_is_refused_and_left_out_of_spans(world, readings):
-    with pytest.raises(InputError, match=r"window: '02:[03]0-03:00' .* readings of Europe/Oslo on 2024-03-31"):
+    with pytest.raises(InputError, match=r"window: '02:[03]0-03:00' .* times that occur in Europe/Oslo on 2024-03-31"):
         daily_window(date(2024, 3, 31), *readings, OSLO, world)
-    windows = windows_asked(world, date(2024, 3, 30), date(2024, 4, 1), 1, readings, OSLO)
+    windows = windows_between(world, date(2024, 3, 30), date(2024, 4, 1), 1, readings, OSLO)
     assert [window.date.day for window in windows] == [30, 1]
 
 
@@ -117,8 +117,8 @@ def test_dates_stand_in_even_steps():
 
 @pytest.mark.parametrize("text", ["2023-02-29", "2024-13-01", "soon", "21.3.2024"])
 def test_what_is_no_date_is_told_in_one_line(text):
-    with pytest.raises(InputError, match=rf"date: '{text}' is no date; allowed: a date of the calendar, as 2024-03-21"):
-        date_of("date", text)
+    with pytest.raises(InputError, match=rf"date: '{text}' is not allowed\. Allowed: a calendar date such as 2024-03-21"):
+        parse_date("date", text)
 
 
 def test_windows_and_dates_that_run_back_are_refused(world):

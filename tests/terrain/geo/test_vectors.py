@@ -12,7 +12,7 @@ import shapely
 from pyproj import CRS, Transformer
 
 from skugga.terrain.errors import SourceError
-from skugga.terrain.geo.vectors import LONGEST_EDGE, attribute_names, numbers, read_features, vector_layer
+from skugga.terrain.geo.vectors import MAX_EDGE, attribute_names, numeric_attribute, read_features, vector_layer
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32632)
@@ -41,8 +41,8 @@ def test_geojson_is_longitude_then_latitude_and_null_geometries_are_counted(geoj
     features = read_features(source, UTM, ["h"])
     expected = Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform([9.0, 9.5], [47.0, 46.5])
     np.testing.assert_allclose(shapely.get_coordinates(features.geometry).T, expected, atol=1e-6)
-    assert features.dropped == 1
-    assert numbers(features, "h").tolist() == [1.0, 3.5]
+    assert features.omitted_count == 1
+    assert numeric_attribute(features, "h").tolist() == [1.0, 3.5]
 
 
 def test_multi_parts_stay_and_heights_of_points_are_dropped(geojson):
@@ -65,7 +65,7 @@ def test_invalid_polygons_are_mended_and_those_without_area_dropped(geojson, tmp
     path = tmp_path / "flat.gpkg"
     pyogrio.raw.write(path, shapely.to_wkb(flat), [], [], geometry_type="Polygon", crs="EPSG:32632")
     features = read_features(str(path), UTM)
-    assert len(features.geometry) == 1 and features.dropped == 1
+    assert len(features.geometry) == 1 and features.omitted_count == 1
 
 
 def test_long_edges_follow_their_parallel(geojson):
@@ -73,7 +73,7 @@ def test_long_edges_follow_their_parallel(geojson):
     outline = read_features(geojson([wide]), UTM).geometry[0]
     on_edge = shapely.Point(Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(8.123, 47.0))
     assert outline.boundary.distance(on_edge) < 0.1
-    assert LONGEST_EDGE[True] < 2.0  # else the edge would have been a chord, 100 m off
+    assert MAX_EDGE[True] < 2.0  # else the edge would have been a chord, 100 m off
 
 
 def test_engineering_coordinates_stay_as_they_are(tmp_path):
@@ -89,7 +89,7 @@ def test_shapefile_without_prj_is_refused(tmp_path):
     path = tmp_path / "a.shp"
     pyogrio.raw.write(path, shapely.to_wkb(shapely.points([[9.0, 47.0]])), [], [], geometry_type="Point", crs="EPSG:4326")
     path.with_suffix(".prj").unlink()
-    with pytest.raises(SourceError, match=r"a\.shp: 'no coordinate reference system \(its \.prj file is missing\)'"):
+    with pytest.raises(SourceError, match=r"a\.shp: no coordinate reference system \(its \.prj file is missing\)\. Use a vector"):
         read_features(str(path), UTM)
 
 
@@ -98,11 +98,11 @@ def test_shapefile_without_prj_is_refused(tmp_path):
     [
         ([], [], "no feature with a geometry"),
         ([None], [], "no feature with a geometry"),
-        ([point(9, 47)], ["tall"], "no attribute 'tall''; needed: one of name, h"),
+        ([point(9, 47)], ["tall"], "no attribute 'tall'. Use one of name, h"),
         (
             [point(9, 470)],
             [],
-            "the coordinates 9, 470'; needed: coordinates of 'WGS 84' that can be transformed into 'WGS 84 / UTM zone 32N'",
+            "the coordinates 9, 470 of 'WGS 84' cannot be transformed into 'WGS 84 / UTM zone 32N'. Correct the coordinates",
         ),
     ],
 )
@@ -116,29 +116,29 @@ def test_what_a_file_lacks_is_said_in_one_line(geojson, geometries, attributes, 
 def test_what_is_no_vector_file_is_refused(tmp_path, text):
     path = tmp_path / "a.geojson"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(SourceError, match="a.geojson: .*needed: a vector file that GDAL reads"):
+    with pytest.raises(SourceError, match="a.geojson: .*Use a vector file that GDAL reads"):
         read_features(str(path), UTM)
 
 
 def test_missing_files_folders_and_rasters_are_refused(tmp_path, write_raster):
-    with pytest.raises(SourceError, match="none.gpkg: 'no such file'"):
+    with pytest.raises(SourceError, match="none.gpkg: no such file. Use a vector file that GDAL reads"):
         read_features(str(tmp_path / "none.gpkg"), UTM)
     for source in (tmp_path, write_raster(np.zeros((2, 2), np.float32), "EPSG:32632", 0, 4, 2)):
-        with pytest.raises(SourceError, match="needed: a vector file that GDAL reads"):
+        with pytest.raises(SourceError, match="Use a vector file that GDAL reads"):
             read_features(str(source), UTM)
 
 
 def test_degrees_have_no_place_on_a_made_ground(geojson):
-    with pytest.raises(SourceError, match="its CRS 'WGS 84''; needed: a CRS that can be transformed into 'site'"):
+    with pytest.raises(SourceError, match="its CRS 'WGS 84' cannot be transformed into 'site'. Use a file in another CRS"):
         read_features(geojson([point(9, 47)]), SITE)
 
 
 def test_numbers_written_as_text_are_numbers_and_other_text_is_not(geojson):
     rows = [{"h": "12.5", "kind": "oak"}, {"h": None, "kind": "elm"}, {"h": " ", "kind": None}]
     features = read_features(geojson([point(9, 47)] * 3, rows), UTM, ["h", "kind"])
-    np.testing.assert_array_equal(numbers(features, "h"), [12.5, np.nan, np.nan])
-    with pytest.raises(SourceError, match="'kind = oak at feature 1 of 3'; needed: numbers in the attribute 'kind'"):
-        numbers(features, "kind")
+    np.testing.assert_array_equal(numeric_attribute(features, "h"), [12.5, np.nan, np.nan])
+    with pytest.raises(SourceError, match="kind = oak at feature 1 of 3 is no number. Use numbers in the attribute 'kind'"):
+        numeric_attribute(features, "kind")
     assert attribute_names(features.name) == ("h", "kind")
 
 
@@ -164,18 +164,18 @@ def layered(tmp_path):
 def test_vector_layer_is_the_first_that_holds_such_geometries(layered):
     assert (vector_layer(layered, (0,)).name, vector_layer(layered, (0, 2)).name) == ("wells", "wells")
     parcels = vector_layer(layered, (2,))
-    assert (parcels.name, parcels.others) == ("parcels", ("buildings",))
-    assert parcels.notes == ("layer 'parcels', and not buildings; layer: names another one",)
-    buildings = vector_layer(layered, (2,), has=lambda names: "Height" in names)
-    assert (buildings.name, buildings.others) == ("buildings", ("parcels",))
-    assert numbers(read_features(layered, UTM, ["Height"], layer=buildings), "Height").tolist() == [7.0]
-    with pytest.raises(SourceError, match="no feature with a geometry|points or polygons"):
+    assert (parcels.name, parcels.other_layers) == ("parcels", ("buildings",))
+    assert parcels.notes == ("layer 'parcels', not buildings (the key layer selects another one)",)
+    buildings = vector_layer(layered, (2,), accepts_attributes=lambda names: "Height" in names)
+    assert (buildings.name, buildings.other_layers) == ("buildings", ("parcels",))
+    assert numeric_attribute(read_features(layered, UTM, ["Height"], layer=buildings), "Height").tolist() == [7.0]
+    with pytest.raises(SourceError, match="no feature with a geometry. Use points or polygons"):
         read_features(layered, UTM, layer=vector_layer(layered, (2,), "empty"))
 
 
 def test_vector_layer_takes_a_name_and_says_which_there_are(layered, geojson):
     assert vector_layer(layered, (0,), "buildings").name == "buildings"
-    with pytest.raises(SourceError, match="town.gpkg: 'no layer 'roofs''; needed: one of empty, wells, parcels, buildings, notes"):
+    with pytest.raises(SourceError, match="town.gpkg: no layer 'roofs'. Use one of empty, wells, parcels, buildings, notes"):
         vector_layer(layered, (2,), "roofs")
     assert vector_layer(geojson([point(9, 47)]), (2,)).name is None
     with pytest.raises(SourceError, match="no such file"):
@@ -213,11 +213,11 @@ SQUARE = [[9.0, 47.0], [9.01, 47.0], [9.01, 47.01], [9.0, 47.0]]
     [
         (
             [SQUARE[:2]],
-            "feature 3 of 4 .fid 17.: Points of LinearRing do not form a closed linestring'; needed: undamaged geometries",
+            "feature 3 of 4 .fid 17.: Points of LinearRing do not form a closed linestring. Use undamaged geometries",
         ),
         ([SQUARE[:3]], "feature 3 of 4 .fid 17.: Points of LinearRing do not form a closed"),
-        ([[[9.0, 47.0], [9.0, 470.0], *SQUARE[2:]]], "feature 3 of 4 .fid 17.: the coordinates 9, 470'"),
-        ([SQUARE, [[x + 1.0, y] for x, y in SQUARE]], "feature 3 of 4 .fid 17.: a hole outside of its polygon, at 10, 47'"),
+        ([[[9.0, 47.0], [9.0, 470.0], *SQUARE[2:]]], "feature 3 of 4 .fid 17.: the coordinates 9, 470 of 'WGS 84' cannot"),
+        ([SQUARE, [[x + 1.0, y] for x, y in SQUARE]], "feature 3 of 4 .fid 17.: a hole outside of its polygon, at 10, 47[.] Keep"),
     ],
 )
 def test_one_bad_feature_among_many_is_named(geojson, bad, said):
@@ -239,5 +239,5 @@ def test_a_hole_in_its_polygon_stays_one(geojson):
 
 def test_features_are_numbered_as_in_the_file(geojson):
     features = read_features(geojson([None, point(9, 47), None, point(9.1, 47)]), UTM)
-    assert features.number.tolist() == [2, 4] and features.label(1) == "feature 4 of 4" and features.dropped == 2
-    assert features[np.array([1, 1])].dropped == 3
+    assert features.number.tolist() == [2, 4] and features.label(1) == "feature 4 of 4" and features.omitted_count == 2
+    assert features[np.array([1, 1])].omitted_count == 3

@@ -11,7 +11,7 @@ import pytest
 
 from skugga.terrain.errors import GraphicsError
 from skugga.terrain.gl.depth_targets import MAX_TARGETS
-from skugga.terrain.gl.programs import join_shader_parts, recorded
+from skugga.terrain.gl.programs import join_shader_parts, record_draw_calls
 from skugga.terrain.ground.sheet import Sheet, sheet_of
 
 VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
@@ -171,12 +171,12 @@ def test_each_call_is_recorded_with_its_program(gl):
     target, program, other = gl.depth_target(8, 8, 24), gl.program(VERTEX, FRAGMENT), gl.program(VERTEX, FRAGMENT + "// another\n")
     triangle, none = np.array([[0, 1, 2]], np.int32), np.zeros((0, 3), np.int32)
     corners = sheet(0.5).reshape(-1, 3)
-    with recorded() as calls, gl.depth_pass(target):
+    with record_draw_calls() as calls, gl.depth_pass(target):
         draw_sheet(gl, program, sheet(0.5))
         gl.draw_triangles(other, corners, triangle)
         gl.draw_triangles(other, corners, none)  # nothing to draw: no call
         draw_sheet(gl, program, np.full((3, 3, 3), np.nan))
-        with gl.uploaded(program, corners, triangle) as array:
+        with gl.uploaded_mesh(program, corners, triangle) as array:
             gl.render(array)
             gl.render(array, moderngl.LINES, vertices=2)
     gl.draw_triangles(other, corners, triangle)

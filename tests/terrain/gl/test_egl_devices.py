@@ -22,7 +22,7 @@ from skugga.terrain.gl.egl_devices import (
     open_context,
     probed_device,
     read_setting,
-    take_turn,
+    set_process_number,
 )
 from tests.terrain.gl.egl_machines import two_mesas
 
@@ -59,7 +59,7 @@ def test_settings(text, meaning):
 def test_settings_that_are_none(text):
     with pytest.raises(InputError) as error:
         read_setting(text)
-    assert str(error.value) == f"{EGL_DEVICE}: '{text}' is not allowed. Allowed: {egl_devices.EGL_DEVICE_VALUES}"
+    assert str(error.value) == f"{EGL_DEVICE}: '{text}' is not allowed. Allowed: {egl_devices.EGL_DEVICE_VALUES}."
 
 
 @pytest.mark.parametrize(
@@ -107,9 +107,9 @@ def test_a_device_that_is_not_there(setting, kinds):
     with pytest.raises(InputError) as error:
         tried(setting, kinds)
     said = str(error.value)
-    assert said.startswith(f"{EGL_DEVICE}: '{setting}' names a device that is not there; allowed: auto, software, or numbers")
+    assert said.startswith(f"{EGL_DEVICE}: '{setting}' names a device that does not exist. Allowed: auto, software, or numbers")
     assert said.endswith(
-        "; there are 0 (without a name), 1 (software rasteriser)" if SOFT in kinds else "there are 0 (without a name)"
+        ". Devices: 0 (without a name), 1 (software rasteriser)." if SOFT in kinds else ". Devices: 0 (without a name)."
     )
 
 
@@ -139,7 +139,7 @@ def test_a_card_that_gives_no_context_is_passed_over_and_told_of(machine, caplog
         context, device = open_context()
     assert (context, device.index) == (CARD, 1)
     assert [record.message for record in caplog.records] == [
-        "EGL device 0 (without a name): eglInitialize failed (0x3001); device 1 (without a name) is taken instead"
+        "EGL: device 0 (without a name): eglInitialize failed (0x3001). Device 1 (without a name) is used instead."
     ]
 
 
@@ -153,19 +153,19 @@ def test_one_that_is_named_is_not_passed_over(machine):
 
 def test_where_none_gives_a_context_there_is_no_opengl(machine):
     machine(BROKEN, BROKEN)
-    with pytest.raises(NoOpenGLError, match=r"no OpenGL 4.3 context through EGL \(device 0 .*; device 1 .*'skugga doctor' says"):
+    with pytest.raises(NoOpenGLError, match=r"no OpenGL 4.3 context through EGL \(device 0 .*; device 1 .*Run 'skugga doctor'"):
         open_context()
 
 
 def test_a_process_takes_its_turn(machine):
     machine(CARD, EQUAL, SOFT)
-    take_turn(3)
+    set_process_number(3)
     assert open_context()[1].index == 1
 
 
 def test_an_egl_that_lists_no_devices(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(egl_devices, "_function", lambda egl, name, *types: None)
-    with pytest.raises(NoOpenGLError, match=r"cannot list devices: it is without EGL_EXT_device_enumeration\): only bare ground"):
+    with pytest.raises(NoOpenGLError, match=r"cannot list devices without EGL_EXT_device_enumeration\)\. Without it"):
         egl_devices.egl_devices()
     monkeypatch.setattr(egl_devices, "LIBEGL", "libNone.so.1")
     with pytest.raises(NoOpenGLError, match="libNone.so.1"):
@@ -180,7 +180,8 @@ def test_this_machine(gl):
 
 
 @pytest.mark.parametrize(
-    ("script", "fault"), [("exit 9", "ended the process"), ("echo no", "ended the process"), ("exec sleep 60", "no answer within")]
+    ("script", "fault"),
+    [("exit 9", "ended the probe process"), ("echo no", "ended the probe process"), ("exec sleep 60", "no answer within")],
 )
 def test_a_driver_that_crashes_or_hangs_is_no_more_than_a_fault(script, fault, tmp_path, monkeypatch):
     program = tmp_path / "python"

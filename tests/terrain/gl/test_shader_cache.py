@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from skugga.terrain.gl.shader_cache import DISABLE, safe_shader_cache
+from skugga.terrain.gl.shader_cache import DISABLE_VARIABLE, safe_shader_cache
 
 MESA_INDEX_BYTES = 1_310_728
 
@@ -19,7 +19,7 @@ MESA_INDEX_BYTES = 1_310_728
 @pytest.fixture
 def index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An index that is all holes, as Mesa makes it."""
-    monkeypatch.setenv(DISABLE, "false")
+    monkeypatch.setenv(DISABLE_VARIABLE, "false")
     monkeypatch.setenv("MESA_SHADER_CACHE_DIR", str(tmp_path))
     path = tmp_path / "mesa_shader_cache" / "index"
     path.parent.mkdir()
@@ -34,7 +34,7 @@ def test_an_index_has_no_holes(index: Path):
         file.write(b"kept")
     with safe_shader_cache():
         assert index.stat().st_blocks * 512 >= MESA_INDEX_BYTES == index.stat().st_size
-    assert index.read_bytes()[:5] == b"kept\0" and os.environ[DISABLE] == "false"
+    assert index.read_bytes()[:5] == b"kept\0" and os.environ[DISABLE_VARIABLE] == "false"
 
 
 def test_an_index_that_opening_made_has_no_holes(index: Path):
@@ -47,7 +47,7 @@ def test_an_index_that_opening_made_has_no_holes(index: Path):
 def test_a_disk_without_room_for_an_index_has_no_shader_cache(index: Path, full_disk):
     index.unlink()
     with full_disk(1000), safe_shader_cache():
-        assert os.environ[DISABLE] == "true"
+        assert os.environ[DISABLE_VARIABLE] == "true"
     assert list(index.parent.iterdir()) == []
 
 
@@ -57,7 +57,7 @@ def test_a_disk_without_room_for_the_holes_has_no_shader_cache(index: Path, monk
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with safe_shader_cache():
-        assert os.environ[DISABLE] == "true"
+        assert os.environ[DISABLE_VARIABLE] == "true"
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 import rasterio
 from scipy.ndimage import rotate
 
-from skugga.terrain.ground.collar import Collar, collar_of
+from skugga.terrain.ground.collar import Collar, detect_collar
 from skugga.terrain.ground.elevation import Elevation
 from tests.rasters import write_geotiff
 
@@ -26,7 +26,7 @@ def hills(rows: int, cols: int, low_m: float = 300.0, high_m: float = 900.0) -> 
 def found(path: Path, heights: np.ndarray, **options) -> Collar | None:
     elevation = Elevation(str(write_geotiff(path / "dem.tif", heights, "EPSG:32633", 500e3, 5200e3, 30.0, **options)))
     try:
-        return collar_of(elevation)
+        return detect_collar(elevation)
     finally:
         elevation.close()
 
@@ -56,13 +56,13 @@ def test_scaled_cells_are_compared_in_metres(tmp_path):
         path = write_geotiff(tmp_path / "counts.tif", counts, "EPSG:32633", 500e3, 5200e3, 30.0)
         with rasterio.open(path, "r+") as dataset:
             dataset.scales = (0.005,)
-        assert (collar_of(Elevation(str(path))) is not None) is there
+        assert (detect_collar(Elevation(str(path))) is not None) is there
 
 
 def test_depths_have_collars_as_heights_have(tmp_path):
     depths = rotate(hills(200, 200), 15.0, order=0, cval=0.0)
     path = write_geotiff(tmp_path / "depths.tif", depths, "EPSG:32633", 500e3, 5200e3, 30.0)
-    collar = collar_of(Elevation(str(path), positive="down"))
+    collar = detect_collar(Elevation(str(path), positive="down"))
     assert collar is not None and collar.value == 0.0 and collar.cliff_m == pytest.approx(600.0, abs=120.0)
 
 
@@ -101,7 +101,7 @@ def test_real_rasters(shared_data):
         if path.name == "CHM_empty.tif":
             continue
         elevation = Elevation(str(path))
-        assert (collar_of(elevation) is not None) is (path.name in WITH_A_COLLAR), path
+        assert (detect_collar(elevation) is not None) is (path.name in WITH_A_COLLAR), path
         elevation.close()
         seen += 1
     assert seen > 20
@@ -116,7 +116,7 @@ def test_real_coasts(shared_data, tmp_path):
         path = write_geotiff(
             tmp_path / "coast.tif", np.maximum(heights, lowest), profile["crs"], 0, 0, 1, transform=profile["transform"]
         )
-        assert collar_of(Elevation(str(path))) is None, name
+        assert detect_collar(Elevation(str(path))) is None, name
 
 
 def test_real_ground_with_a_collar(shared_data, tmp_path):

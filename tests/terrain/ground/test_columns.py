@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from skugga.terrain.casters.reach import casters_of
+from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.errors import LevelError
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.ground.columns import Columns
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
@@ -65,7 +65,7 @@ def test_the_cells_are_those_of_the_raster_whatever_their_sides_and_the_detail(t
 def test_a_pixel_of_another_crs_shows_the_middle_of_the_column_that_it_lies_in(tmp_path: Path, crs: str):
     heights = np.random.default_rng(1).uniform(0.0, 30.0, (40, 40))
     scene = scene_of(tmp_path, heights, UTM, 10.0, 500000.0, 5000000.0)
-    buffer = geometry_of(scene, scene.view(crs=crs, size=(150, 150)))
+    buffer = geometry_buffer(scene, scene.view(crs=crs, size=(150, 150)))
     x, y, height = scene.world.map_position(
         scene.elevation.crs, buffer.frame.points_to_earth(buffer.position_frame_m[buffer.there])
     )
@@ -79,7 +79,7 @@ def test_a_pixel_of_another_crs_shows_the_middle_of_the_column_that_it_lies_in(t
 def test_on_a_border_the_higher_cell_counts(tmp_path: Path):
     scene = scene_of(tmp_path, np.array([[1.0, 9.0, 3.0], [1.0, 2.0, 3.0]]), ENGINEERING, 1.0)
     view = scene.view(bounds=(0.5, 0.0, 2.5, 2.0), size=(2, 1))  # two pixels of one by two: their middles lie on corners
-    assert geometry_of(scene, view).height_m.tolist() == [[9.0, 9.0]]
+    assert geometry_buffer(scene, view).height_m.tolist() == [[9.0, 9.0]]
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_on_a_border_the_higher_cell_counts(tmp_path: Path):
         (
             "terrain: {source: jacksboro, surface: blocks}\n"
             "views: {eye: {kind: perspective, eye: [-84.3, 36.6, 50], target: [-84.2, 36.6, 0]}}\n",
-            "smooth: blocks is for maps, and eye is a perspective view",
+            "smooth: blocks works in maps only, and eye is a perspective view",
         ),
     ],
 )
@@ -118,6 +118,6 @@ def test_what_stands_on_columns_stands_on_their_tops(tmp_path: Path):
         meshes=[{"generate": "tetrahedra", "at": [0.3, 0.0]}, {"generate": "rocks", "at": [-5, 3]}],
     )
     assert scene.elevation.ground_m(10.1, 10.0) == 12.0 and scene.elevation.ground_m(9.9, 10.0) == 0.0
-    buffer = geometry_of(scene, scene.view(size=(40, 40)))
-    rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
-    assert lit_from(buffer, scene, "sun", rays).any()
+    buffer = geometry_buffer(scene, scene.view(size=(40, 40)))
+    rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
+    assert lit_mask(buffer, scene, "sun", rays).any()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.world import EARTH_RADIUS_M
-from skugga.terrain.ground.decimation import Decimated, NodeErrors, decimate, errors_m
+from skugga.terrain.ground.decimation import DecimatedMesh, NodeErrors, decimate, node_errors
 
 ALL = 10**9
 SPACING_M = 30.0
@@ -62,7 +62,7 @@ def outline(corners: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate([start + along * unit, start + (along + 1) * unit], axis=1), axis=0)
 
 
-def assert_conforming(height: np.ndarray, mesh: Decimated) -> None:
+def assert_conforming(height: np.ndarray, mesh: DecimatedMesh) -> None:
     """Counter-clockwise, no edge twice in a direction, and unpaired edges only where the full grid has them: no T-junction."""
     corners = mesh.nodes[mesh.triangles].astype(np.int64)
     whole, present = half_cells(height)
@@ -76,7 +76,7 @@ def assert_conforming(height: np.ndarray, mesh: Decimated) -> None:
     assert len(np.unique(mesh.nodes, axis=0)) == len(mesh.nodes)
 
 
-def times_covered(height: np.ndarray, mesh: Decimated) -> np.ndarray:
+def times_covered(height: np.ndarray, mesh: DecimatedMesh) -> np.ndarray:
     """How many triangles hold the middle of each half cell; exact, in thirds of cells."""
     middle = half_cells(height)[0].sum(axis=1)
     a, b, c = np.moveaxis(3 * mesh.nodes[mesh.triangles].astype(np.int64), 1, 0)[:, None]
@@ -84,7 +84,7 @@ def times_covered(height: np.ndarray, mesh: Decimated) -> np.ndarray:
     return ((cross(a, b, m) > 0) & (cross(b, c, m) > 0) & (cross(c, a, m) > 0)).sum(axis=1)
 
 
-def deviation_m(height: np.ndarray, mesh: Decimated) -> np.ndarray:
+def deviation_m(height: np.ndarray, mesh: DecimatedMesh) -> np.ndarray:
     """How far the decimated surface lies from each node (rows, cols); NaN where there is none."""
     out = np.full(height.shape, np.nan)
     for corners in mesh.nodes[mesh.triangles].astype(np.int64):
@@ -137,7 +137,7 @@ tolerances = st.one_of(st.just(0.0), st.floats(1e-4, 0.3))
 @settings(max_examples=200, deadline=None)
 @given(surfaces(), eyes, tolerances, st.sampled_from([ALL, 40, 8]), st.booleans())
 def test_conforming_and_exact_in_outline(height, eye, tolerance, max_triangles, sagitta):
-    mesh = decimate(errors_m(height, SPACING_M, sagitta), eye, tolerance, max_triangles)
+    mesh = decimate(node_errors(height, SPACING_M, sagitta), eye, tolerance, max_triangles)
     assert_conforming(height, mesh)
     if height.size > 1:
         np.testing.assert_array_equal(times_covered(height, mesh), half_cells(height)[1])
@@ -146,7 +146,7 @@ def test_conforming_and_exact_in_outline(height, eye, tolerance, max_triangles, 
 @settings(max_examples=100, deadline=None)
 @given(surfaces(), eyes)
 def test_zero_tolerance_keeps_every_node_with_an_error_and_loses_nothing(height, eye):
-    errors = errors_m(height, SPACING_M, False)
+    errors = node_errors(height, SPACING_M, False)
     mesh = decimate(errors, eye, 0.0, ALL)
     kept = np.zeros(height.shape, bool)
     kept[tuple(mesh.nodes.T)] = True
@@ -158,7 +158,7 @@ def test_zero_tolerance_keeps_every_node_with_an_error_and_loses_nothing(height,
 @settings(max_examples=100, deadline=None)
 @given(surfaces(), eyes, tolerances)
 def test_the_deviation_is_at_most_what_the_errors_left_out_add_up_to(height, eye, tolerance):
-    errors = errors_m(height, SPACING_M, False)
+    errors = node_errors(height, SPACING_M, False)
     mesh = decimate(errors, eye, tolerance, ALL)
     assert mesh.tolerance == tolerance
     deviation, share = deviation_m(height, mesh), tolerance * distance_m(height, eye)
@@ -180,7 +180,7 @@ def test_the_deviation_is_at_most_what_the_errors_left_out_add_up_to(height, eye
 @pytest.mark.parametrize("tolerance", [0.003, 0.02])
 def test_on_terrain_the_deviation_stays_below_twice_the_tolerance(eye, tolerance):
     height = fractal(129, 100, seed=3)
-    errors = errors_m(height, SPACING_M, False)
+    errors = node_errors(height, SPACING_M, False)
     mesh = decimate(errors, eye, tolerance, ALL)
     ratio = deviation_m(height, mesh) / distance_m(height, eye)
     assert len(mesh.triangles) < 0.75 * errors.triangles
@@ -190,7 +190,7 @@ def test_on_terrain_the_deviation_stays_below_twice_the_tolerance(eye, tolerance
 def test_a_far_node_that_bends_the_ground_at_the_eye_is_kept():
     row, col = np.mgrid[:65, :65]
     pyramid = np.float32(1.0) - np.maximum(abs(row - 32), abs(col - 32)).astype(np.float32) / 32
-    errors = errors_m(pyramid, SPACING_M, False)
+    errors = node_errors(pyramid, SPACING_M, False)
     assert np.argwhere(errors.error_m > 0).tolist() == [[32, 32]]
     tolerance = 2.0 / (30 * SPACING_M)  # the top is 1 m high: from the rim, it is below the tolerance
     assert len(decimate(errors, (2.0, 32.0, 100.0), tolerance, ALL).triangles) == 2
@@ -200,7 +200,7 @@ def test_a_far_node_that_bends_the_ground_at_the_eye_is_kept():
 def test_nothing_is_nearer_than_near_m():
     height = np.zeros((3, 3), np.float32)
     height[1, 1] = 1.0
-    errors = errors_m(height, SPACING_M, False)
+    errors = node_errors(height, SPACING_M, False)
     assert len(decimate(errors, (1.0, 1.0, 1.0), 0.09, ALL, near_m=10.0).triangles) == 4
     assert len(decimate(errors, (1.0, 1.0, 1.0), 0.11, ALL, near_m=10.0).triangles) == 2
 
@@ -208,7 +208,7 @@ def test_nothing_is_nearer_than_near_m():
 def test_errors_of_single_nodes():
     height = np.zeros((5, 5), np.float32)
     height[2, 2], height[1, 2] = 4.0, 1.0
-    error = errors_m(height, SPACING_M, False).error_m
+    error = node_errors(height, SPACING_M, False).error_m
     expected = np.zeros((5, 5))
     expected[2, 2] = 4.0  # the diagonal of the whole
     expected[1, 1] = expected[1, 3] = expected[3, 1] = expected[3, 3] = 2.0  # diagonals from (2, 2) to the corners
@@ -218,7 +218,7 @@ def test_errors_of_single_nodes():
 
 
 def test_the_sagitta_of_the_earth_is_added():
-    error = errors_m(np.zeros((129, 129)), 90.0, True).error_m
+    error = node_errors(np.zeros((129, 129)), 90.0, True).error_m
     for node, cells in {(64, 64): 128 * np.sqrt(2), (0, 64): 128, (32, 32): 64 * np.sqrt(2), (1, 0): 2}.items():
         assert error[node] == pytest.approx((cells * 90.0) ** 2 / (8 * EARTH_RADIUS_M), rel=1e-6)
 
@@ -226,7 +226,7 @@ def test_the_sagitta_of_the_earth_is_added():
 @pytest.mark.parametrize(("rows", "cols", "triangles"), [(65, 65, 2), (129, 65, 3), (65, 129, 3), (2, 2, 2), (9, 25, 5)])
 def test_a_plane_needs_a_handful_of_triangles(rows, cols, triangles):
     height = np.add.outer(-0.25 * np.arange(rows), 0.5 * np.arange(cols))
-    mesh = decimate(errors_m(height, SPACING_M, False), (10.0, 10.0, 1000.0), 0.0, ALL)
+    mesh = decimate(node_errors(height, SPACING_M, False), (10.0, 10.0, 1000.0), 0.0, ALL)
     assert_conforming(height, mesh)
     assert len(mesh.triangles) == triangles
 
@@ -234,7 +234,7 @@ def test_a_plane_needs_a_handful_of_triangles(rows, cols, triangles):
 def test_a_hole_in_a_plane_keeps_its_corners_and_not_the_nodes_along_its_sides():
     height = np.zeros((65, 65), np.float32)
     height[17:32, 33:48] = np.nan
-    mesh = decimate(errors_m(height, SPACING_M, False), (0.0, 0.0, 100.0), 0.1, ALL)
+    mesh = decimate(node_errors(height, SPACING_M, False), (0.0, 0.0, 100.0), 0.1, ALL)
     assert_conforming(height, mesh)
     assert len(mesh.triangles) < 40
 
@@ -243,7 +243,7 @@ def test_a_hole_in_a_plane_keeps_its_corners_and_not_the_nodes_along_its_sides()
 def mountains() -> NodeErrors:
     height = fractal(150, 211, seed=5)
     height[fractal(150, 211, seed=6) > 650.0] = np.nan
-    return errors_m(height, SPACING_M, True)
+    return node_errors(height, SPACING_M, True)
 
 
 @pytest.mark.parametrize("max_triangles", [5_000, 10_000, 25_000])
@@ -275,19 +275,19 @@ def test_the_same_eye_gives_the_same_triangles_and_another_finer_ones_near_it(mo
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (1, 9), (9, 1)])
 def test_a_grid_without_area_has_no_triangles(shape):
-    mesh = decimate(errors_m(np.ones(shape), SPACING_M, True), (0.0, 0.0, 5.0), 0.001, 10)
+    mesh = decimate(node_errors(np.ones(shape), SPACING_M, True), (0.0, 0.0, 5.0), 0.001, 10)
     assert mesh.nodes.shape == (0, 2) and mesh.triangles.shape == (0, 3)
 
 
 def test_holes_alone_have_no_triangles():
-    mesh = decimate(errors_m(np.full((20, 30), np.nan), SPACING_M, True), (3.0, 3.0, 5.0), 0.0, 10)
+    mesh = decimate(node_errors(np.full((20, 30), np.nan), SPACING_M, True), (3.0, 3.0, 5.0), 0.0, 10)
     assert mesh.nodes.shape == (0, 2) and mesh.triangles.shape == (0, 3)
 
 
 def test_a_strip_needs_no_square_of_memory():
     height = fractal(3, 2000)
     height = np.tile(height, (1, 100))
-    mesh = decimate(errors_m(height, SPACING_M, False), (1.0, 1e5, 100.0), 0.01, ALL)
+    mesh = decimate(node_errors(height, SPACING_M, False), (1.0, 1e5, 100.0), 0.01, ALL)
     corners = mesh.nodes[mesh.triangles].astype(np.int64)
     assert cross(*np.moveaxis(corners, 1, 0)).sum() == 2 * 2 * (height.shape[1] - 1)
 
@@ -295,7 +295,7 @@ def test_a_strip_needs_no_square_of_memory():
 def test_a_raster_with_holes(shared_data):
     with rasterio.open(shared_data / "mountain" / "vinschgau_250m_utm32.tif") as dataset:
         height = dataset.read(1, masked=True).filled(np.nan)
-    errors = errors_m(height, 250.0, True)
+    errors = node_errors(height, 250.0, True)
     mesh = decimate(errors, (100.0, 100.0, 4000.0), 0.005, ALL)
     assert_conforming(height, mesh)
     assert len(mesh.triangles) < 0.5 * errors.triangles
@@ -317,13 +317,13 @@ def test_refused_arguments(change, named):
     right = {"height": np.zeros((5, 5)), "spacing_m": 1.0, "eye": (0, 0, 1), "tolerance": 0.1, "max_triangles": 10, "near_m": 1.0}
     v = right | change
     with pytest.raises(InputError, match=named):
-        decimate(errors_m(v["height"], v["spacing_m"], False), v["eye"], v["tolerance"], v["max_triangles"], v["near_m"])
+        decimate(node_errors(v["height"], v["spacing_m"], False), v["eye"], v["tolerance"], v["max_triangles"], v["near_m"])
 
 
 @pytest.mark.parametrize("eye", [(128.0, 128.0, 2.0), (100.3, 171.8, 2.0), (0.0, 0.0, 5.0), (31.999, 64.0, 30.0)])
 def test_triangles_under_the_eye_are_no_longer_than_float32_can_tell_apart(eye):
     """Level ground of 256 km would be two triangles, whose corners lie 100 km off a pebble before the eye."""
-    errors = errors_m(np.zeros((257, 257), np.float32), 1000.0, False)
+    errors = node_errors(np.zeros((257, 257), np.float32), 1000.0, False)
     low, high = (decimate(errors, (*eye[:2], height), 0.001, ALL) for height in (eye[2], 60_000.0))
     assert len(high.triangles) == 2 and len(low.triangles) < 200
     assert_conforming(errors.height_m, low)

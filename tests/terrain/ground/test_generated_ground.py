@@ -11,7 +11,7 @@ from scipy.ndimage import label
 
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.erosion import drainage
-from skugga.terrain.ground.generated_ground import _made, generated_ground
+from skugga.terrain.ground.generated_ground import _generate, generated_ground
 from skugga.terrain.ground.noise import fractal
 from skugga.terrain.level.parts import Terrain
 
@@ -39,7 +39,9 @@ def test_a_floor_has_its_nodes_at_cell_centres():
 
 
 def test_an_elevation_opens_it():
-    elevation = Elevation("floor", made=generated_ground(Terrain.model_validate({"flat": {"size": [20, 20], "cells": [1, 1]}})))
+    elevation = Elevation(
+        "floor", raster_in_memory=generated_ground(Terrain.model_validate({"flat": {"size": [20, 20], "cells": [1, 1]}}))
+    )
     assert elevation.flat and elevation.shape == (2, 2)
     np.testing.assert_allclose(elevation.ground_m(np.array([-10.0, 0.0, 10.0]), np.zeros(3)), 0)
 
@@ -57,7 +59,7 @@ def test_heights_fill_the_relief_on_any_grid(kind, size, cell):
 def test_a_seed_is_one_ground_and_another_seed_another(kind):
     first = generated(kind, seed=7)
     assert not np.array_equal(first, generated(kind, seed=8))
-    _made.cache.clear()
+    _generate.cache.clear()
     np.testing.assert_array_equal(first, generated(kind, seed=7))
 
 

@@ -11,7 +11,7 @@ from affine import Affine
 
 from skugga.terrain.errors import SourceError
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.georeference import crs_of
+from skugga.terrain.ground.georeference import checked_crs
 from skugga.terrain.ground.imagery import Imagery
 from skugga.terrain.trees.canopy import Canopy
 from tests.rasters import ENGINEERING, write_geotiff
@@ -22,7 +22,7 @@ UTM, DEGREES = (500e3, 5200e3, 30.0), (12.5, 47.2, 3e-4)
 def crs_at(folder, crs, place, **options):
     path = write_geotiff(folder / "dem.tif", np.ones((40, 50), np.float32), crs, *place, **options)
     with rasterio.open(path) as dataset:
-        return crs_of("dem.tif", dataset)
+        return checked_crs("dem.tif", dataset)
 
 
 @pytest.mark.parametrize(

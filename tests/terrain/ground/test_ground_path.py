@@ -12,7 +12,7 @@ from skugga.terrain.errors import LevelError
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, geocentric, transformer
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.ground.ground_path import GroundPath, path_over_ground
-from skugga.terrain.level.motion import Above
+from skugga.terrain.level.motion import HeightReference
 from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
@@ -27,7 +27,7 @@ def ridge(write_raster) -> Path:
     return write_raster(heights, ENGINEERING, -500.0, 500.0, 10.0)
 
 
-def path_in(scene: Scene, *keys: tuple, loop: bool = False, above: Above = "ground") -> GroundPath:
+def path_in(scene: Scene, *keys: tuple, loop: bool = False, above: HeightReference = "ground") -> GroundPath:
     timed = [(seconds, (*place, 0.0) if len(place) == 2 else place) for seconds, place in keys]
     return path_over_ground(timed, loop, above, Geolocator(scene.world, scene.elevation), "level.yaml: path", "position")
 
@@ -61,7 +61,7 @@ def test_a_flight_through_a_ridge_is_refused_and_one_over_it_is_not(make_scene, 
         through.check("level.yaml: path")
     text = str(caught.value)
     assert text.startswith("level.yaml: path: at 120.00 m at second 4") and "under the ground, which is at 12" in text
-    assert text.endswith("allowed: a path above the ground all the way") and "\n" not in text
+    assert text.endswith(". Keep all of the path above the ground.") and "\n" not in text
     through.check("path", may_be_under_ground=True)
     path_in(scene, (0.0, (-200, 0, 60)), (5.0, (0, 0, 155)), (10.0, (200, 0, 60)), above="sea").check("path")
 
@@ -76,7 +76,7 @@ def test_places_off_the_terrain_are_refused(make_scene, write_raster):
     gap = make_scene(write_raster(heights, ENGINEERING, -2000.0, 100.0, 10.0, "gap.tif"))
     over = path_in(gap, (0.0, (-1500, 0, 3)), (10.0, (1500, 0, 3)))
     with pytest.raises(
-        LevelError, match=r"^path: leaves the terrain at second [34]\.\d+; allowed: a path over the terrain"
+        LevelError, match=r"^path: leaves the terrain at second [34]\.\d+\. Keep all of the path over the terrain\.$"
     ) as caught:
         over.check("path")
     assert "\n" not in str(caught.value)
@@ -118,5 +118,5 @@ def test_it_looks_where_it_goes(make_scene, ridge):
 
 def test_a_path_round_a_large_raster_is_looked_at_in_bounded_time(make_scene, ridge):
     path = path_in(make_scene(ridge), *((float(n), ((n % 2) * 400 - 200, n % 7)) for n in range(3000)))
-    assert 2999 * 16 <= len(path.seconds_along()) < 80_000
-    assert path.seconds_along()[[0, -1]].tolist() == [0.0, 2999.0]
+    assert 2999 * 16 <= len(path.sample_times_s()) < 80_000
+    assert path.sample_times_s()[[0, -1]].tolist() == [0.0, 2999.0]

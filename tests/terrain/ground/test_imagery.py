@@ -10,8 +10,8 @@ from pyproj import CRS, Transformer
 from scipy.ndimage import map_coordinates
 
 from skugga.terrain.errors import SourceError
-from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.ground.imagery import Imagery
 from skugga.terrain.meshes.body import srgb_albedo
@@ -60,12 +60,12 @@ def test_a_map_shows_the_colours_at_its_coordinates(gl, hill, write_raster, make
     data = colours()
     scene = draped(write_raster, make_scene, hill, data)
     view = scene.view(bounds=(X0 + 50, Y0 - 350, X0 + 350, Y0 - 50), size=(300, 300))
-    albedo = geometry_of(scene, view).albedo
+    albedo = geometry_buffer(scene, view).albedo
     x, y = xy_of(view)
     expected = bilinear(data, (Y0 - y) / CELL - 0.5, (x - X0) / CELL - 0.5)
     np.testing.assert_allclose(albedo, expected, atol=2e-4)
     fine = scene.view(bounds=(X0 + 125, Y0 - 150, X0 + 150, Y0 - 125), size=(25, 25))  # one cell, a metre a pixel
-    np.testing.assert_allclose(geometry_of(scene, fine).albedo[12, 12], srgb_albedo(data[:, 5, 5] / 255.0), atol=1e-5)
+    np.testing.assert_allclose(geometry_buffer(scene, fine).albedo[12, 12], srgb_albedo(data[:, 5, 5] / 255.0), atol=1e-5)
 
 
 def near_view(scene: Scene, size=(120, 90)) -> PerspectiveView:
@@ -81,7 +81,7 @@ def eye_view(fov: float = 50.0, height: float = 40.0) -> dict:
 def test_a_perspective_view_shows_the_colours_at_its_points(gl, hill, write_raster, make_scene):
     data = colours(2)
     scene = draped(write_raster, make_scene, hill, data, views=eye_view())
-    buffer = geometry_of(scene, near_view(scene))
+    buffer = geometry_buffer(scene, near_view(scene))
     ground = buffer.kind == RELIEF
     assert ground.mean() > 0.4
     earth = buffer.position_frame_m[ground] @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
@@ -101,7 +101,7 @@ def test_imagery_in_another_crs_lies_where_it_should(gl, hill, write_raster, mak
     data = np.random.default_rng(3).integers(0, 256, (3, *shape)).astype(np.uint8)
     scene = draped(write_raster, make_scene, hill, data, crs, left - cell, top + cell, cell, views=eye_view())
     view = scene.view(bounds=(X0 + 50, Y0 - 350, X0 + 350, Y0 - 50), size=(150, 150))
-    for buffer, (x, y) in ((geometry_of(scene, view), xy_of(view)), (geometry_of(scene, near_view(scene)), (None, None))):
+    for buffer, (x, y) in ((geometry_buffer(scene, view), xy_of(view)), (geometry_buffer(scene, near_view(scene)), (None, None))):
         ground = buffer.kind == RELIEF
         if x is None:
             earth = buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m
@@ -124,7 +124,7 @@ def test_where_there_is_no_imagery_the_tint_shows(gl, hill, write_raster, make_s
     covered = (x < X0 + 8 * CELL) & (y < Y0) & (y > Y0 - SIDE * CELL)
     row, col = (Y0 - y) / CELL, (x - X0) / CELL
     hole = (row >= 2.5) & (row <= 6.5) & (col >= 1.5) & (col <= 5.5)  # half a cell round it: beside a cell without data
-    albedo = geometry_of(scene, view).albedo
+    albedo = geometry_buffer(scene, view).albedo
     np.testing.assert_array_equal(np.isfinite(albedo[..., 0]), covered & ~hole)
     with_it, without = render(scene, view), render(bare, view)
     np.testing.assert_array_equal(with_it.color[~covered | hole], without.color[~covered | hole])
@@ -142,7 +142,7 @@ def test_coarse_pixels_average_the_light(gl, hill, write_raster, make_scene, pix
     scene = draped(write_raster, make_scene, hill, np.stack([board] * 3), cell=6.25)
     count = int(300 / pixel_m)
     view = scene.view(bounds=(X0 + 50, Y0 - 50 - count * pixel_m, X0 + 50 + count * pixel_m, Y0 - 50), size=(count, count))
-    np.testing.assert_allclose(geometry_of(scene, view).albedo, 0.5, atol=1e-5)
+    np.testing.assert_allclose(geometry_buffer(scene, view).albedo, 0.5, atol=1e-5)
 
 
 def test_the_colours_reach_the_picture(gl, write_raster, make_scene):
@@ -198,5 +198,5 @@ def test_what_is_no_imagery_is_refused_in_one_line(hill, write_raster, make_scen
     for name, reason in wanted.items():
         scene = make_scene(hill, terrain={"imagery": name})
         with pytest.raises(SourceError, match=reason) as caught:
-            geometry_of(scene, scene.view(size=(8, 8)))
+            geometry_buffer(scene, scene.view(size=(8, 8)))
         assert "\n" not in str(caught.value) and name in str(caught.value)

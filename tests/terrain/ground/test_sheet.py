@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from skugga.terrain.casters.rays import RayScene
-from skugga.terrain.ground.sheet import Sheet, cuts_of, sheet_of, sheet_triangles
+from skugga.terrain.ground.sheet import Sheet, diagonal_cuts, sheet_of, sheet_triangles
 
 CORNERS = [(0, 0), (0, 1), (1, 0), (1, 1)]
 """Rows and columns of a quad's corners: NW, NE, SW, SE."""
@@ -61,7 +61,7 @@ def test_the_ends_that_stand_higher_are_joined():
         ([[5, 4], [4, 2]], False),
         ([[-1, 0], [0, 0]], False),
     ):
-        assert cuts_of(np.array(height, np.float32)).tolist() == [[falls]], height
+        assert diagonal_cuts(np.array(height, np.float32)).tolist() == [[falls]], height
 
 
 @given(
@@ -113,11 +113,11 @@ def test_turned_and_mirrored_ground_has_turned_and_mirrored_triangles(height, tu
 @given(height=arrays(np.float64, (5, 7), elements=st.floats(-1000, 1000)))
 def test_the_cuts_of_mirrored_ground_run_the_other_way(height):
     bent = height[:-1, :-1] + height[1:, 1:] != height[:-1, 1:] + height[1:, :-1]
-    cuts = cuts_of(height)
-    np.testing.assert_array_equal(cuts_of(height[:, ::-1])[:, ::-1][bent], ~cuts[bent])
-    np.testing.assert_array_equal(cuts_of(height[::-1])[::-1][bent], ~cuts[bent])
-    np.testing.assert_array_equal(cuts_of(height[::-1, ::-1])[::-1, ::-1][bent], cuts[bent])
-    np.testing.assert_array_equal(cuts_of(height.T).T[bent], cuts[bent])
+    cuts = diagonal_cuts(height)
+    np.testing.assert_array_equal(diagonal_cuts(height[:, ::-1])[:, ::-1][bent], ~cuts[bent])
+    np.testing.assert_array_equal(diagonal_cuts(height[::-1])[::-1][bent], ~cuts[bent])
+    np.testing.assert_array_equal(diagonal_cuts(height[::-1, ::-1])[::-1, ::-1][bent], cuts[bent])
+    np.testing.assert_array_equal(diagonal_cuts(height.T).T[bent], cuts[bent])
 
 
 @given(height=arrays(np.float64, (2, 2), elements=st.floats(-1000, 1000)), missing=st.sets(st.sampled_from(range(4))))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import BLOCK_PX, map_view
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE
 from skugga.terrain.ground.visible_cells import block_slices, full_cell_range, is_block, visible_cells
@@ -37,7 +37,7 @@ def test_all_cells_of_its_pixels_are_among_them(scene, lon: float, lat: float, s
     x, y = transformer(LONGITUDE_LATITUDE, scene._crs(crs)).transform([lon - side, lon + side], [lat - side / 2, lat + side / 2])
     view = scene.view(bounds=(x[0], y[0], x[1], y[1]), crs=crs, size=(24, 24))
     cells = visible_cells(scene.elevation, view)
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     if cells is None:
         assert not buffer.there.any()
         return

@@ -38,23 +38,23 @@ def test_dates_with_and_without_quotes_are_the_same(tmp_path):
 WRONG = {
     "keys: []": ("keys", "2 items"),
     f"keys: [{KEY}]": ("keys", "at least 2 items"),
-    "size: [9, 9]": ("keys", "missing; allowed: a value"),
-    f"keys: [{KEY}, {{at: 5, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "as 0s, 90s or 10m, or an ISO 8601 time"),
+    "size: [9, 9]": ("keys", "missing. This key is required"),
+    f"keys: [{KEY}, {{at: 5, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "such as 0s, 90s or 10m, or an ISO 8601 time"),
     f"keys: [{KEY}, {{at: soon, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "'soon' is not allowed"),
     f"keys: [{KEY}, {{at: -5s, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "'-5s' is not allowed"),
     f"keys: [{KEY}, {{at: 2024-10-21T16:30:00, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "with an offset"),
-    f"keys: [{KEY}, {{at: 2024-10-21T16:30:00Z, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "as the first key has"),
-    f"keys: [{KEY}, {KEY}]": ("keys.1.at", "a time later than that of the key before, 0s"),
+    f"keys: [{KEY}, {{at: 2024-10-21T16:30:00Z, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "as in the first key"),
+    f"keys: [{KEY}, {KEY}]": ("keys.1.at", "a time later than 0s, the time of the previous key"),
     f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 5], target: [0, 0, 5]}}]": ("keys.1", "a target other than the eye"),
     f"keys: [{KEY}, {{at: 1s, eye: [0, 0], target: [9, 9, 0]}}]": ("keys.1.eye", "3 items"),
     f"keys: [{KEY}, {{at: 1s, eye: [0, 0, .nan], target: [9, 9, 0]}}]": ("keys.1.eye.2", "nan"),
     f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0], fov: 180}}]": ("keys.1.fov", "179"),
-    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0], fow: 50}}]": ("keys.1.fow", "did you mean 'fov'?"),
-    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1]}}]": ("keys.1.target", "missing; allowed: a value"),
+    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0], fow: 50}}]": ("keys.1.fow", "Did you mean 'fov'?"),
+    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1]}}]": ("keys.1.target", "missing. This key is required"),
     f"size: [0, 9]\nkeys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0]}}]": ("size.0", "greater than or equal to 1"),
     "just text": ("", "a mapping with the key 'keys'"),
     "keys: [": ("line", "well-formed YAML"),
-    "a: &a [x, x]\nkeys: " + "[" * 40 + "]" * 40: ("line", "inside of one another"),
+    "a: &a [x, x]\nkeys: " + "[" * 40 + "]" * 40: ("line", "nested lists and mappings"),
     "keys: [2024-13-40]": ("", "well-formed YAML"),
 }
 
@@ -95,5 +95,5 @@ def test_lengths_of_time(text, seconds):
 
 @pytest.mark.parametrize("text", ["", "5", "-5s", "5 s", "1e3s", "5min", "١s", "1234567s", "infs"])
 def test_what_is_no_length_of_time(text):
-    with pytest.raises(ValueError, match="as 15m"):
+    with pytest.raises(ValueError, match="a number and a unit, s, m, h or d, such as 15m"):
         parse_duration(text)

@@ -18,7 +18,7 @@ from skugga.terrain.geo.vectors import read_features
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.imagery import Imagery
-from skugga.terrain.level.data_files import check_file, check_geodata, special_kind
+from skugga.terrain.level.data_files import check_file, check_geodata, special_file_kind
 from skugga.terrain.level.linked_files import linked_files
 from skugga.terrain.level.rasters import is_raster
 from skugga.terrain.meshes.models import read_model
@@ -63,20 +63,20 @@ def test_what_is_no_regular_file_is_refused_before_it_is_opened(tmp_path, kind, 
         READERS[reader](str(path))
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
     assert kind == "a folder" or kind in str(caught.value)
-    assert special_kind(path) == kind and not is_raster(path)
+    assert special_file_kind(path) == kind and not is_raster(path)
 
 
 def test_a_regular_file_and_nothing_are_of_no_special_kind(folder):
-    assert special_kind(folder / "dem.tif") is None
-    assert special_kind(folder / "absent") is None
-    assert special_kind("a\0b") is None
+    assert special_file_kind(folder / "dem.tif") is None
+    assert special_file_kind(folder / "absent") is None
+    assert special_file_kind("a\0b") is None
 
 
 def test_a_model_may_not_lead_to_a_device(tmp_path):
     (tmp_path / "mill.obj").write_text("mtllib mill.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "mill.mtl").write_text("newmtl wall\nmap_Kd wall.png\n")
     (tmp_path / "wall.png").symlink_to("/dev/zero")
-    with pytest.raises(SourceError, match=r"leads to /dev/zero, a device"):
+    with pytest.raises(SourceError, match=r"refers to /dev/zero, a device"):
         read_model(str(tmp_path / "mill.obj"))
 
 
@@ -94,7 +94,7 @@ def test_virtual_rasters_of_files_are_read(folder):
         (vrt("/etc/passwd", 'subClass="VRTRawRasterBand"'), "raw bytes"),
         (vrt("dem.tif", 'subClass="VRTDerivedRasterBand"', "<PixelFunctionLanguage> Python </PixelFunctionLanguage>"), "Python"),
         (vrt("/dev/zero", relative=0), "/dev/zero, a device"),
-        (vrt("&lt;VRTDataset/&gt;"), "inside of another"),
+        (vrt("&lt;VRTDataset/&gt;"), "contains another one as text"),
     ],
     ids=["raw", "python", "device", "inside"],
 )

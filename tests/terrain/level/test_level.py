@@ -60,17 +60,22 @@ def test_bundled_levels_load():
         (GOOD + "views: {a: {kind: fisheye}}\n", "views.a", "fisheye", "'map', 'perspective'"),
         (GOOD + "views: {a: {kind: perspective, target: [0, 0, 0]}}\n", "views.a.eye", "missing", "required"),
         (GOOD + "views: {a: {kind: perspective, eye: [0, 0, 1], target: [0, 0, 1]}}\n", "views.a", "0", "other than the eye"),
-        (GOOD + "lights: {sun: {kind: omni, position: [0, 0, 1]}}\n", "lights", "sun", "names other than sun"),
+        (GOOD + "lights: {sun: {kind: omni, position: [0, 0, 1]}}\n", "lights", "sun", "light names other than sun"),
         (GOOD + "lights: {lamp: {kind: spot, position: [0, 0, 1]}}\n", "lights.lamp", "spot", "a target for a spot"),
-        (GOOD + "shadows: {algorithm: {lamp: shadow_map}}\n", "shadows.algorithm", "lamp", "a light (sun) or a caster kind"),
+        (GOOD + "shadows: {algorithm: {lamp: shadow_map}}\n", "shadows.algorithm", "lamp", "name a light (sun) or a caster kind"),
         (GOOD + "meshes: [{source: a.obj, generate: rocks}]\n", "meshes.0", "rocks", "either source or generate"),
         ("version: 1\nterrain: {source: x, flat: {size: [1, 1], cells: [1, 1]}}\n", "terrain", "flat", "one of source, flat"),
-        ("version: 1\nterrain: {flat: {size: [1, 1], cells: [1, 1]}, nodata: 0}\n", "terrain", "flat", "nodata of a source"),
-        ("version: 1\nterrain: {flat: {size: [1, 1], cells: [1, 1]}, positive: down}\n", "terrain", "flat", "positive: down of a"),
+        ("version: 1\nterrain: {flat: {size: [1, 1], cells: [1, 1]}, nodata: 0}\n", "terrain", "flat", "nodata with a source only"),
+        (
+            "version: 1\nterrain: {flat: {size: [1, 1], cells: [1, 1]}, positive: down}\n",
+            "terrain",
+            "flat",
+            "positive: down with a source only",
+        ),
         ("[1, 2]\n", "my.yaml", "[1, 2]", "version: 1"),
         ("version: [1\n", "my.yaml: line 2", "expected", "well-formed YAML"),
         (GOOD + "sun: {time: 2024-13-45}\n", "my.yaml", "month", "well-formed YAML"),
-        ("[" * 3000, "my.yaml", "inside of one another", "well-formed YAML"),
+        ("[" * 3000, "my.yaml", "nested lists and mappings", "well-formed YAML"),
     ],
 )
 def test_a_wrong_level_names_file_key_value_and_what_is_allowed(tmp_path, text, key, value, allowed):
@@ -106,12 +111,12 @@ def test_all_that_is_wrong_is_told_at_once(tmp_path):
         ("forest.0.densty", "density"),
         ("sun.azimut", "azimuth"),
     ):
-        assert f"unknown key, did you mean '{right}'?; allowed: " in said[wrong]
-    assert "3 items" not in said["views.a.eye"] and ": missing;" in said["views.a.eye"]
+        assert f"unknown key. Did you mean '{right}'? Allowed keys: " in said[wrong]
+    assert "3 items" not in said["views.a.eye"] and ": missing." in said["views.a.eye"]
 
 
 def test_a_key_like_no_other_gets_the_list_alone(tmp_path):
-    with pytest.raises(LevelError, match=r"my\.yaml: zzz: unknown key; allowed: version, title"):
+    with pytest.raises(LevelError, match=r"my\.yaml: zzz: unknown key\. Allowed keys: version, title"):
         load_level(level(tmp_path, GOOD + "zzz: 1\n"))
 
 

@@ -12,13 +12,13 @@ from ruamel.yaml.error import YAMLError
 
 from skugga.terrain.errors import InputError, LevelError, combined_error, printable
 from skugga.terrain.level.level import load_level
-from skugga.terrain.level.level_text import DEEPEST, MOST_CHARACTERS, MOST_VALUES, parse_level_text
+from skugga.terrain.level.level_text import MAX_DEPTH, MOST_CHARACTERS, MOST_VALUES, parse_level_text
 
 HEAD = "version: 1\nterrain: {flat: {size: [10, 10], cells: [2, 2]}}\n"
 
 LISTS = "a0: &a0 [1,1,1,1,1,1,1,1,1]\n" + "".join(f"a{n}: &a{n} [{','.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 12))
 MERGES = "a0: &a0 {x: 1, y: 2}\n" + "".join(f"a{n}: &a{n} {{<<: [{','.join([f'*a{n - 1}'] * 9)}]}}\n" for n in range(1, 12))
-CHAIN = "a0: &a0 [1]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in range(1, DEEPEST + 2))
+CHAIN = "a0: &a0 [1]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in range(1, MAX_DEPTH + 2))
 
 
 @pytest.fixture
@@ -34,12 +34,12 @@ def level(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (LISTS, "aliases spelt out"),
-        (MERGES, "aliases spelt out"),
-        (CHAIN, "inside of one another"),
-        ("a: &a [*a]\n", "an alias of what it lies in"),
-        ("a: " + "[" * 100_000, "inside of one another"),
-        ("a:\n  " + "- " * 100_000, "inside of one another"),
+        (LISTS, "after alias expansion"),
+        (MERGES, "after alias expansion"),
+        (CHAIN, "nested lists and mappings"),
+        ("a: &a [*a]\n", "an alias of a list or mapping that contains it"),
+        ("a: " + "[" * 100_000, "nested lists and mappings"),
+        ("a:\n  " + "- " * 100_000, "nested lists and mappings"),
         ("a: [" + "1," * (MOST_VALUES + 1) + "]", f"more than {MOST_VALUES} values"),
         ('title: "\\e[2J"', "control character '\\x1b'"),
         ('title: "\\ud800"', "control character '\\ud800'"),
@@ -89,13 +89,13 @@ def test_a_level_is_a_regular_file(tmp_path, kind):
         path.mkdir()
     else:
         path.symlink_to("/dev/zero")
-    with pytest.raises(LevelError, match=f"a {kind.partition('.')[0]};"):
+    with pytest.raises(LevelError, match=f"a {kind.partition('.')[0]}, not a regular file"):
         load_level(path)
 
 
 def test_a_message_shows_values_and_names_without_what_commands_a_terminal():
     error = InputError("\x1b[31mname", "a\x9bvalue\u202e\ud800", "no \x07")
-    assert str(error) == "\\x1b[31mname: 'a\\x9bvalue\\u202e\\ud800' is not allowed. Allowed: no \\x07"
+    assert str(error) == "\\x1b[31mname: 'a\\x9bvalue\\u202e\\ud800' is not allowed. Allowed: no \\x07."
 
 
 @given(st.text(st.characters(), max_size=30))

@@ -42,8 +42,8 @@ def test_what_moves_is_listed_by_its_key(tmp_path):
         "looks": {"kind": "spot", "position": [0, 0, 9], "motion": {"path": AIMS}},
     }  # fmt: skip
     level = loaded(tmp_path, meshes=meshes, lights=lights, weather={"cloud_cover": 0.4})
-    assert level.movers == ("meshes.1", "meshes.3", "lights.goes", "lights.looks", "weather.cloud_cover")
-    assert loaded(tmp_path, meshes=meshes[:1], weather={"cloud_cover": 1.0}).movers == ()
+    assert level.moving_keys == ("meshes.1", "meshes.3", "lights.goes", "lights.looks", "weather.cloud_cover")
+    assert loaded(tmp_path, meshes=meshes[:1], weather={"cloud_cover": 1.0}).moving_keys == ()
 
 
 def test_a_height_that_is_left_out_is_the_ground_s(tmp_path):
@@ -58,31 +58,43 @@ def test_a_height_that_is_left_out_is_the_ground_s(tmp_path):
 @pytest.mark.parametrize(
     "parts, key, said",
     [
-        (of_mesh(BACK, THERE), "meshes.0.motion.path.1.seconds", "'0.0' is not allowed. Allowed: seconds that rise from key"),
-        (of_mesh(THERE, BACK, BACK), "meshes.0.motion.path.2.seconds", "'9.0' is not allowed. Allowed: seconds that rise"),
-        (of_mesh(THERE, {**BACK, "seconds": 1e-5}), "meshes.0.motion.path.1.seconds", "by 0.001 at least"),
-        (of_mesh(THERE), "meshes.0.motion.path", "allowed: two keys at least"),
-        (of_mesh(), "meshes.0.motion.path", "'[]' is not allowed. Allowed: two keys at least"),
-        (of_mesh(THERE, BACK, at=[1, 2]), "meshes.0.at", "'(1.0, 2.0)' is not allowed. Allowed: nothing beside a path"),
-        (of_mesh(THERE, BACK, loop=True), "meshes.0.motion.path.1.position", "allowed: the first key's, [0.0, 0.0, 5.0]: a loop"),
+        (of_mesh(BACK, THERE), "meshes.0.motion.path.1.seconds", "'0.0' is not allowed. Allowed: seconds that increase by"),
+        (of_mesh(THERE, BACK, BACK), "meshes.0.motion.path.2.seconds", "'9.0' is not allowed. Allowed: seconds that increase by"),
+        (of_mesh(THERE, {**BACK, "seconds": 1e-5}), "meshes.0.motion.path.1.seconds", "by at least 0.001"),
+        (of_mesh(THERE), "meshes.0.motion.path", "Allowed: at least two keys"),
+        (of_mesh(), "meshes.0.motion.path", "'[]' is not allowed. Allowed: at least two keys"),
+        (of_mesh(THERE, BACK, at=[1, 2]), "meshes.0.at", "'(1.0, 2.0)' is not allowed. Allowed: no value together with a path"),
+        (
+            of_mesh(THERE, BACK, loop=True), "meshes.0.motion.path.1.position",
+            "Allowed: the position of the first key, [0.0, 0.0, 5.0]: a loop",
+        ),
         (of_mesh(THERE, {**BACK, "seconds": 1e300}), "meshes.0.motion.path.1.seconds", "'1e+300' is not allowed"),
         (of_mesh(THERE, {**BACK, "position": [1, 2, 1e8]}), "meshes.0.motion.path.1.position.2", "less than or equal to 1000000"),
         (of_mesh(THERE, {**BACK, "position": [1]}), "meshes.0.motion.path.1.position", "'[1]' is not allowed. Allowed: two"),
-        (of_mesh(THERE, {**BACK, "position": [1, 2, 3, 4]}), "meshes.0.motion.path.1.position", "allowed: two numbers"),
-        (of_mesh(THERE, {"seconds": 9, "position": [1, 2]}, above="sea"), "meshes.0.motion.path.1.position", "above the sea, too"),
+        (of_mesh(THERE, {**BACK, "position": [1, 2, 3, 4]}), "meshes.0.motion.path.1.position", "Allowed: two numbers"),
+        (
+            of_mesh(THERE, {"seconds": 9, "position": [1, 2]}, above="sea"), "meshes.0.motion.path.1.position",
+            "with the height above the sea",
+        ),
         (of_mesh(THERE, BACK, above="moon"), "meshes.0.motion.above", "'moon' is not allowed. Allowed: 'ground' or 'sea'"),
         (of_mesh(THERE, BACK, face="back"), "meshes.0.motion.face", "'back' is not allowed. Allowed: 'fixed' or 'along'"),
-        ({"meshes": [{"generate": "rocks", "motion": {"spin": 3, "loop": True}}]}, "meshes.0.motion.loop", "without a path"),
-        (of_lamp(THERE, BACK, own={"position": [0, 0, 3]}), "lights.lamp.position", "allowed: nothing beside a path"),
+        (
+            {"meshes": [{"generate": "rocks", "motion": {"spin": 3, "loop": True}}]}, "meshes.0.motion.loop",
+            "no value without a path",
+        ),
+        (of_lamp(THERE, BACK, own={"position": [0, 0, 3]}), "lights.lamp.position", "Allowed: no value together with a path"),
         (of_lamp(THERE, {"seconds": 9, "position": [1, 2]}), "lights.lamp.motion.path.1.position", "'[1, 2]' is not allowed"),
-        (of_lamp(BACK, THERE), "lights.lamp.motion.path.1.seconds", "'0.0' is not allowed. Allowed: seconds that rise"),
-        (of_lamp(*AIMS, kind="spot"), "lights.lamp.position", "missing; allowed: a value"),
-        (of_lamp(THERE, BACK, kind="spot"), "lights.lamp", "allowed: a target for a spot, none for an omni light"),
-        (of_lamp(*AIMS, own={"position": [0, 0, 3]}), "lights.lamp", "allowed: a target for a spot, none for an omni light"),
-        (of_lamp(THERE, AIMS[1], kind="spot"), "lights.lamp.motion.path.1", "allowed: what the first key has: seconds, position"),
-        (of_lamp(THERE, {"seconds": 9}), "lights.lamp.motion.path.1", "allowed: a position, a target or both"),
-        ({"lights": {"lamp": {"kind": "omni"}}}, "lights.lamp.position", "missing; allowed: a value"),
-        ({"lights": {"lamp": {"kind": "omni", "motion": {}}}}, "lights.lamp.motion.path", "missing; allowed: a value"),
+        (of_lamp(BACK, THERE), "lights.lamp.motion.path.1.seconds", "'0.0' is not allowed. Allowed: seconds that increase by"),
+        (of_lamp(*AIMS, kind="spot"), "lights.lamp.position", "missing. This key is required"),
+        (of_lamp(THERE, BACK, kind="spot"), "lights.lamp", "Allowed: a target for a spot, none for an omni light"),
+        (of_lamp(*AIMS, own={"position": [0, 0, 3]}), "lights.lamp", "Allowed: a target for a spot, none for an omni light"),
+        (
+            of_lamp(THERE, AIMS[1], kind="spot"), "lights.lamp.motion.path.1",
+            "Allowed: the keys of the first one: seconds, position",
+        ),
+        (of_lamp(THERE, {"seconds": 9}), "lights.lamp.motion.path.1", "Allowed: a position, a target or both"),
+        ({"lights": {"lamp": {"kind": "omni"}}}, "lights.lamp.position", "missing. This key is required"),
+        ({"lights": {"lamp": {"kind": "omni", "motion": {}}}}, "lights.lamp.motion.path", "missing. This key is required"),
     ],
 )  # fmt: skip
 def test_what_is_refused_says_why_in_one_line(tmp_path, parts, key, said):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from skugga.terrain.errors import LevelError
 from skugga.terrain.level.level import load_level
-from skugga.terrain.level.pin_scope import PinScope, never_taken, suns_left
+from skugga.terrain.level.pin_scope import PinScope, covered_pins, uncovered_altitudes
 
 LEVEL = {
     "version": 1, "terrain": {"flat": {"size": [50, 50], "cells": [5, 5]}}, "sun": {"azimuth": 200, "altitude": 35},
@@ -30,12 +30,12 @@ def loaded(path, *pins, **keys):
     [
         ([{"view": "vilage", **SWEEP}], ("shadows.pins.0.view: 'vilage'", "map, village")),
         ([SWEEP | {"view": "map"}, {"view": "x", **SWEEP}], ("shadows.pins.1.view: 'x'", "map, village")),
-        ([{"sun_altitude_deg": [20, 20], **SWEEP}], ("shadows.pins.0.sun_altitude_deg: '[20, 20]'", "below")),
-        ([{"sun_altitude_deg": [30, 20], **SWEEP}], ("shadows.pins.0.sun_altitude_deg: '[30, 20]'", "below")),
+        ([{"sun_altitude_deg": [20, 20], **SWEEP}], ("shadows.pins.0.sun_altitude_deg: '[20, 20]'", "minimum < maximum")),
+        ([{"sun_altitude_deg": [30, 20], **SWEEP}], ("shadows.pins.0.sun_altitude_deg: '[30, 20]'", "minimum < maximum")),
         ([{"sun_altitude_deg": [30, 95], **SWEEP}], ("shadows.pins.0.sun_altitude_deg.1: '95'", "90")),
-        ([{"sun_altitude": [30, 95], **SWEEP}], ("shadows.pins.0.sun_altitude: unknown key", "did you mean 'sun_altitude_deg'")),
+        ([{"sun_altitude": [30, 95], **SWEEP}], ("shadows.pins.0.sun_altitude: unknown key", "Did you mean 'sun_altitude_deg'")),
         ([{"max_error": 0.1, **SWEEP}], ("shadows.pins.0.max_error: unknown key", "map_size")),
-        ([{"view": "map"}], ("shadows.pins.0:", "one of algorithm, map_size")),
+        ([{"view": "map"}], ("shadows.pins.0:", "at least one setting of algorithm, map_size")),
         ([{"algorithm": {"lamp": "sweep"}}], ("shadows.pins.0.algorithm", "lamp", "a light (sun)")),
         ([SWEEP, {"view": "map", "map_size": 512}], ("shadows.pins.1: 'view map'", "shadows.pins.0 (all views)")),
         (
@@ -61,14 +61,14 @@ def test_the_first_pin_that_holds_counts(tmp_path):
         {"view": "village", "map_size": 512},
         SWEEP,
     )
-    numbers = [shadows.pin_for("village", altitude) for altitude in (4.9, 5, 12, 20, 20.1, None)]
-    assert numbers == [1, 0, 0, 0, 1, 1] and shadows.pin_for("map", 12) == 2
+    numbers = [shadows.pin_number("village", altitude) for altitude in (4.9, 5, 12, 20, 20.1, None)]
+    assert numbers == [1, 0, 0, 0, 1, 1] and shadows.pin_number("map", 12) == 2
     assert shadows.pins[1].settings == {"map_size": 512}
 
 
 def test_without_a_sun_only_a_pin_without_a_range_holds(tmp_path):
     path, pins = tmp_path / "mine.yaml", ({"sun_altitude_deg": [-90, 90], **SWEEP}, {"map_size": 512})
-    assert loaded(path, *pins, sun="none").pin_for("map", None) == 1
+    assert loaded(path, *pins, sun="none").pin_number("map", None) == 1
     with pytest.raises(LevelError, match=r"shadows\.pins\.1"):  # under any sun the first one holds
         loaded(path, *pins)
 
@@ -91,8 +91,8 @@ def test_a_pin_is_in_vain_where_no_view_and_sun_is_left_for_it(pins, sunless):
         for view in ("map", "village")
         for sun in suns
     }
-    vain = {number for number, _ in never_taken(pins, ("map", "village"), sunless)}
+    vain = {number for number, _ in covered_pins(pins, ("map", "village"), sunless)}
     assert vain == set(range(len(pins))) - set(first.values())
     for (view, sun), number in first.items():
         for each in range(len(pins)) if sun is not None else ():
-            assert any(low <= sun <= high for low, high in suns_left(pins, each, view)) == (each == number)
+            assert any(low <= sun <= high for low, high in uncovered_altitudes(pins, each, view)) == (each == number)

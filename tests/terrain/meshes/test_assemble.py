@@ -83,7 +83,7 @@ def test_a_spinning_model_turns_about_its_own_up_axis_by_the_clock(scene_of):
     arm = still.vertices_earth_m - (20, 10, 0)
     np.testing.assert_allclose(later.vertices_earth_m - (20, 10, 0), arm @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-9)
     np.testing.assert_allclose(round_once.vertices_earth_m, still.vertices_earth_m, atol=1e-9)
-    assert scene.loaded.level.movers == ("meshes.0",)
+    assert scene.loaded.level.moving_keys == ("meshes.0",)
 
 
 def along_a_path(scene_of, **motion):
@@ -104,7 +104,7 @@ def test_a_model_on_a_path_is_where_its_keys_say(scene_of):
         corners = assembled(scene, seconds).vertices_earth_m - origin
         np.testing.assert_allclose(corners.min(axis=0), [-1, -6, 0], atol=1e-6)
         np.testing.assert_allclose(corners.max(axis=0), [1, 0, 4], atol=1e-6)
-    assert scene.at_second(4.0).objects.tallest_m == pytest.approx(6.5) and scene.loaded.level.movers == ("meshes.0",)
+    assert scene.at_second(4.0).objects.tallest_m == pytest.approx(6.5) and scene.loaded.level.moving_keys == ("meshes.0",)
 
 
 def test_what_faces_south_goes_first_along_a_path(scene_of):
@@ -248,11 +248,12 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
         ),
         (
             {"source": "arrow.ply", "motion": {"path": [{"seconds": n, "position": [n, 0, 2 - 4 * n]} for n in range(2)]}},
-            LevelError, ["meshes.0.motion.path: at -", "under the ground, which is at 0.00 m", "a path above the ground"],
+            LevelError,
+            ["meshes.0.motion.path: at -", "under the ground, which is at 0.00 m", "Keep all of the path above the ground"],
         ),
         (
             {"source": "none.geojson", "motion": {"path": [{"seconds": n, "position": [n, 0]} for n in range(2)]}},
-            LevelError, ["meshes.0.motion: ", "footprints, which stand where their file says"],
+            LevelError, ["meshes.0.motion: ", "footprints, whose file holds their positions"],
         ),
         ({"source": "arrow.ply", "height": 4}, LevelError, ["meshes.0.height", "footprints"]),
         ({"generate": "boxgrid", "surface": "a.tif", "ground": "b.tif"}, LevelError, ["meshes.0.surface", "footprints"]),

@@ -317,9 +317,13 @@ def test_a_flat_world(tmp_path):
         ({"height": "storeys"}, SourceError, ["b.gpkg", "no attribute 'storeys'", "tall, name"]),
         ({}, LevelError, ["meshes.0.height: missing", "b.gpkg (tall, name)", "surface and ground"]),
         ({"height": "name"}, SourceError, ["b.gpkg", "name = tower"]),
-        ({"height": "tall"}, SourceError, ["b.gpkg", "1500 m at feature 2 of 2", "up to 1000 m"]),
+        ({"height": "tall"}, SourceError, ["b.gpkg", "1500 m at feature 2 of 2", "the limit of 1000 m"]),
         ({"height": "low"}, SourceError, ["no attribute 'low'"]),
-        ({"height": 5, "surface": "dem.tif", "ground": "dem.tif"}, LevelError, ["meshes.0.height", "either height, or surface"]),
+        (
+            {"height": 5, "surface": "dem.tif", "ground": "dem.tif"},
+            LevelError,
+            ["meshes.0.height", "cannot be combined with surface and ground. Use either height, or surface"],
+        ),
         ({"height": 5, "at": [15, 45]}, LevelError, ["meshes.0.at", "footprints"]),
         ({"height": 5, "motion": {"spin": 3}}, LevelError, ["meshes.0.motion", "footprints"]),
         ({"surface": "dem.tif", "ground": "dem.tif"}, SourceError, ["b.gpkg", "no footprint with 1.5 m of", "dem.tif above"]),
@@ -337,7 +341,7 @@ def test_what_is_refused_says_why_in_one_line(tmp_path, level_ground, mesh, kind
 @pytest.mark.parametrize(
     "geometry, said",
     [
-        (shapely.Point(500100, 5000100), ["Point geometries", "polygons; or a model"]),
+        (shapely.Point(500100, 5000100), ["Point geometries", "Use polygons, or a model"]),
         (affinity.translate(SQUARE, 50000, 0), ["footprints within 15.6", "on the terrain: within 15.0"]),
     ],
 )

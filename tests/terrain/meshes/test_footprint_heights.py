@@ -9,7 +9,7 @@ import pytest
 import shapely
 from shapely import affinity
 
-from skugga.shadows.point.horizon import sun_reaches, surroundings
+from skugga.shadows.point.horizon import load_surroundings, sees_sun
 from skugga.shadows.point.place import place_at
 from skugga.terrain.errors import LevelError, SourceError
 from skugga.terrain.level.level import load_level
@@ -64,8 +64,8 @@ def test_a_height_goes_before_storeys_and_storeys_fill_gaps(tmp_path):
     values = {"height": np.array([7.0, np.nan, 0.0, np.nan]), "building:levels": np.array([9, 2, 3, 0], np.int32)}
     placement, up = stand(tmp_path, ROW, **values)
     assert up[:, 1].tolist() == [7.0, 6.0, 9.0]
-    assert placement.notes[0].endswith("b.gpkg: heights: 1 of 4 footprints by the attribute 'height'")
-    assert placement.notes[1].endswith("heights: 2 of 4 footprints by the attribute 'building:levels' (3 m a storey)")
+    assert placement.notes[0].endswith("b.gpkg: heights: 1 of 4 footprints from the attribute 'height'")
+    assert placement.notes[1].endswith("heights: 2 of 4 footprints from the attribute 'building:levels' (3 m a storey)")
     assert placement.notes[2].endswith("1 footprints left out: without a height") and placement.warnings == ()
 
 
@@ -74,7 +74,7 @@ def test_a_text_that_is_no_length_is_named_and_passed_over(tmp_path):
     placement, up = stand(tmp_path, ROW, height=values)
     assert up[:, 1].tolist() == [7.0]
     (warning,) = placement.warnings
-    assert "b.gpkg: height = tall at feature 2 of 4, which is no length: it is passed over, and 1 more" in warning
+    assert "b.gpkg: height = tall at feature 2 of 4, and 1 more: ignored, not a length" in warning
 
 
 def test_a_named_attribute_is_found_in_either_case_and_alone(tmp_path):
@@ -82,13 +82,13 @@ def test_a_named_attribute_is_found_in_either_case_and_alone(tmp_path):
     assert up[:, 1].tolist() == [5.0]
     _, up = stand(tmp_path, ROW[:1], mesh={"height": "building:levels"}, **{"building:levels": [2]})
     assert up[:, 1].tolist() == [6.0]
-    with pytest.raises(SourceError, match="no attribute 'ridge''; needed: one of Eaves"):
+    with pytest.raises(SourceError, match="no attribute 'ridge'. Use one of Eaves"):
         stand(tmp_path, ROW[:1], mesh={"height": "ridge"}, Eaves=[5.0])
 
 
 def test_without_any_height_the_message_says_what_is_missing(tmp_path):
     with pytest.raises(
-        LevelError, match=r"meshes\.0\.height: missing; allowed: metres, or an attribute of .*\(colour\); or surface"
+        LevelError, match=r"meshes\.0\.height: missing\. Set it to metres or to an attribute of .*\(colour\), or set surface"
     ):
         stand(tmp_path, ROW[:1], colour=["red"])
 
@@ -104,7 +104,7 @@ def test_what_begins_above_the_ground_is_a_closed_block_there(tmp_path, name, va
     np.testing.assert_allclose(up, [[base_m, 9.0], [-FOOTING_M, 9.0]], atol=1e-6)
     raised = placement.seen[0].body
     assert raised.closed and raised.volume_m3 == pytest.approx(200.0 * (9.0 - base_m))
-    assert any(f"begin above the ground: 1 of 2 footprints by the attribute '{name}'" in note for note in placement.notes)
+    assert any(f"base heights: 1 of 2 footprints from the attribute '{name}'" in note for note in placement.notes)
 
 
 def test_a_bridge_lets_the_sun_through_below(tmp_path):
@@ -117,7 +117,7 @@ def test_a_bridge_lets_the_sun_through_below(tmp_path):
         scene = scene_of(tmp_path, written(tmp_path / f"{name}.gpkg", [deck], crs=ENGINEERING, **values))
         north_m = np.arange(-1.75, 17.0, 0.5)
         lit = [
-            sun_reaches(surroundings(scene, place_at(scene, (0.0, float(y)))), np.array([180.0]), np.array([45.0]))[0]
+            sees_sun(load_surroundings(scene, place_at(scene, (0.0, float(y)))), np.array([180.0]), np.array([45.0]))[0]
             for y in north_m
         ]
         shadow[name] = north_m[~np.array(lit)]
@@ -137,14 +137,14 @@ def test_a_floor_above_its_roof_is_left_out_and_named(tmp_path):
     placement, up = stand(tmp_path, ROW, height=[9.0, 4.0, 9.0, 9.0], min_height=[0.0, 4.0, 3.0, 6.0])
     np.testing.assert_allclose(up, [[-FOOTING_M, 9.0], [3.0, 9.0], [6.0, 9.0]], atol=1e-6)
     (warning,) = placement.warnings
-    assert warning.endswith("b.gpkg: feature 2 of 4: left out, the floor is not below the roof")
+    assert warning.endswith("b.gpkg: feature 2 of 4 left out: the floor is not below the roof")
 
 
 def test_floors_that_count_from_the_sea_are_passed_over(tmp_path):
     placement, up = stand(tmp_path, ROW, height=[9.0, 12.0, 60.0, 8.0], base_height=[52.0, 52.5, 53.0, np.nan])
     np.testing.assert_allclose(up, [[-FOOTING_M, top] for top in (9.0, 12.0, 60.0, 8.0)], atol=1e-6)
     (warning,) = placement.warnings
-    assert "2 of 3 floors are not below their roofs, as that of feature 1 of 4: heights of floors are passed over" in warning
+    assert "2 of 3 floors are not below their roofs, such as that of feature 1 of 4. All heights of floors are ignored" in warning
 
 
 def test_footprints_in_a_second_layer_are_found(tmp_path):
@@ -158,8 +158,8 @@ def test_footprints_in_a_second_layer_are_found(tmp_path):
         )  # fmt: skip
     placement, up = placed(tmp_path, path)
     assert up[:, 1].tolist() == [6.0]
-    assert any("layer 'houses', and not parcels; layer: names another one" in note for note in placement.notes)
+    assert any("layer 'houses', not parcels (the key layer selects another one)" in note for note in placement.notes)
     _, up = placed(tmp_path, path, layer="parcels", height=4)
     assert up[:, 1].tolist() == [4.0]
-    with pytest.raises(SourceError, match="no layer 'roofs''; needed: one of town, parcels, houses"):
+    with pytest.raises(SourceError, match="no layer 'roofs'. Use one of town, parcels, houses"):
         placed(tmp_path, path, layer="roofs")

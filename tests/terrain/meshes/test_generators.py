@@ -153,7 +153,7 @@ def test_spatialace_has_ten_thousand_triangles_and_a_turning_figure():
     level = loaded.level
     made = level.terrain.generate
     assert 2 * np.prod(np.array(made.size) / made.cell) == pytest.approx(10_000, rel=0.03)
-    assert loaded.level.movers == ("meshes.1",)
+    assert loaded.level.moving_keys == ("meshes.1",)
     assert [mesh.motion.spin for mesh in level.meshes if mesh.generate == "tetrahedra"] == [30]
     assert level.views["main"].size == (800, 600)
 

@@ -146,9 +146,13 @@ def test_the_height_from_which_cells_show_trees():
     def crown_of(height_m):
         return 1.0 + 0.25 * height_m
 
-    assert module._shown_m(0.25, crown_of, TREE_HEIGHT_M) == module._shown_m(1.0, crown_of, TREE_HEIGHT_M) == 0.0
-    assert crown_of(module._shown_m(2.5, crown_of, TREE_HEIGHT_M)) == pytest.approx(CROWN_CELLS * 2.5, rel=0.01)
-    assert np.isinf(module._shown_m(3.01, crown_of, TREE_HEIGHT_M)) and np.isinf(module._shown_m(2.5, np.ones_like, TREE_HEIGHT_M))
+    assert (
+        module._detection_limit_m(0.25, crown_of, TREE_HEIGHT_M) == module._detection_limit_m(1.0, crown_of, TREE_HEIGHT_M) == 0.0
+    )
+    assert crown_of(module._detection_limit_m(2.5, crown_of, TREE_HEIGHT_M)) == pytest.approx(CROWN_CELLS * 2.5, rel=0.01)
+    assert np.isinf(module._detection_limit_m(3.01, crown_of, TREE_HEIGHT_M)) and np.isinf(
+        module._detection_limit_m(2.5, np.ones_like, TREE_HEIGHT_M)
+    )
 
 
 def test_a_broad_crown_with_several_humps_is_one_broadleaved_tree_and_several_conifers(write_raster):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import rasterio
 
-from skugga.shadows.point.horizon import sun_reaches, surroundings
+from skugga.shadows.point.horizon import load_surroundings, sees_sun
 from skugga.shadows.point.place import place_at
 from skugga.terrain.errors import LevelError, SourceError
 from skugga.terrain.trees import forest as module
-from skugga.terrain.trees.canopy_sample import cells_of, check_above_ground
+from skugga.terrain.trees.canopy_sample import check_above_ground, height_class_shares
 from skugga.terrain.trees.forest import plant_trees
 from tests.terrain.trees.test_forest import UTM, X0, Y0, hill, plane, vectors, xyh  # noqa: F401
 
@@ -38,10 +38,11 @@ def tops(value: float) -> np.ndarray:
 
 
 def test_shares_of_cells_are_counted():
-    cells = cells_of(np.array([np.nan, 0.0, -3.0, 0.49, 0.5, 1.99, 2.0, 150.0, 150.1, 9000.0]))
+    cells = height_class_shares(np.array([np.nan, 0.0, -3.0, 0.49, 0.5, 1.99, 2.0, 150.0, 150.1, 9000.0]))
     assert (cells.unknown, cells.bare, cells.low, cells.tall, cells.absurd) == pytest.approx((0.1, 0.3, 0.2, 0.2, 0.2))
     assert cells.left_out(2.0) == (
-        "30 % lower than 0.5 m, 20 % of 0.5 m to 2 m (least_height takes them), 10 % without a height, 20 % higher than 150 m"
+        "30 % lower than 0.5 m, 20 % of 0.5 m to 2 m (set least_height to include them), "
+        "10 % without a height, 20 % higher than 150 m"
     )
     assert cells.left_out(0.5) == "30 % lower than 0.5 m, 10 % without a height, 20 % higher than 150 m"
 
@@ -56,20 +57,20 @@ def test_heights_are_in_the_unit_of_the_band(planting, unit, value):
 
 
 def test_a_unit_that_is_none_is_refused(planting):
-    with pytest.raises(SourceError, match="canopy.tif: 'unit furlong of its band'; needed: one of .*dm"):
+    with pytest.raises(SourceError, match="canopy.tif: the unit furlong of its band is unknown. Use one of .*dm"):
         planting(tops(8.0), unit="furlong")
 
 
 @pytest.mark.parametrize(("value", "is_told"), [(120.0, True), (60.0, False)])
 def test_a_wood_higher_than_woods_are_is_told(planting, value, is_told):
     found = planting(tops(value))  # 12 m in decimetres, without a unit; and giants
-    assert found.trees is not None and ("higher than 80 m: is the unit" in " ".join(found.warnings)) is is_told
+    assert found.trees is not None and ("higher than 80 m. Check the unit" in " ".join(found.warnings)) is is_told
 
 
 def test_a_canopy_that_plants_nothing_says_why(planting):
     found = planting(tops(250.0))  # decimetres without a unit
     assert found.trees is None and len(found.warnings) == 2
-    assert "most of its cells with trees are higher than 80 m: is the unit of its heights right?" in found.warnings[0]
+    assert "most of its cells with trees are higher than 80 m. Check the unit of its heights." in found.warnings[0]
     assert found.warnings[1].endswith(
         "canopy.tif: no tree is planted: of its cells 99.9 % lower than 0.5 m, 0.09 % higher than 150 m"
     )
@@ -100,7 +101,7 @@ def test_a_hedge_throws_its_shadow(hill, make_scene, write_raster):  # noqa: F81
     for north_m in (0.5, 4.0):
         places = [(X0 + 500 + east, Y0 - 530 + north_m) for east in np.arange(10.0, 50.0, 0.5)]
         lit = [
-            sun_reaches(surroundings(scene, place_at(scene, place, scene.elevation.crs)), np.array([180.0]), np.array([30.0]))[0]
+            sees_sun(load_surroundings(scene, place_at(scene, place, scene.elevation.crs)), np.array([180.0]), np.array([30.0]))[0]
             for place in places
         ]
         shaded[north_m] = 1.0 - np.mean(lit)
@@ -114,7 +115,7 @@ def test_undergrowth_is_left_out_unless_the_level_asks_for_it(planting):
     wood[:, 40:] = np.maximum(wood[:, 40:], 3.0)
     usual, asked = planting(wood), planting(wood, least_height=1.0)
     assert usual.trees.height_m.min() >= 2.0 and usual.notes[0].endswith(
-        "of its cells 40 % of 0.5 m to 2 m (least_height takes them)"
+        "of its cells 40 % of 0.5 m to 2 m (set least_height to include them)"
     )
     assert asked.trees.height_m.min() == pytest.approx(1.2) and len(asked.trees.rank) > len(usual.trees.rank) + 1000
     assert planting(wood, least_height=10.0).trees.height_m.min() == 15.0
@@ -125,7 +126,7 @@ def test_shrubs_of_coarse_cells_and_too_many_are_left_out(planting, monkeypatch)
     assert (
         planting(scrub, cell_m=10.0)
         .warnings[0]
-        .endswith("no tree is planted: of its cells 100 % of 0.5 m to 2 m (least_height takes them)")
+        .endswith("no tree is planted: of its cells 100 % of 0.5 m to 2 m (set least_height to include them)")
     )
     assert len(planting(scrub).trees.rank) > 500
     monkeypatch.setattr(module, "MAX_SHRUBS", 100)
@@ -138,7 +139,7 @@ def test_heights_above_the_sea_are_refused(planting):
     ground = plane(X0 + 500 + col + 0.5, Y0 - 500 - row - 0.5)
     crowns = np.random.default_rng(1).uniform(0.0, 25.0, ground.shape)
     with pytest.raises(
-        SourceError, match=r"canopy.tif: 'heights above the sea: they lie 1 to 24 m above the terrain's own'; needed"
+        SourceError, match=r"canopy.tif: it has heights above the sea, 1 to 24 m above the terrain\. Use heights above ground"
     ):
         planting(ground + crowns)
     assert len(planting(crowns).trees.rank) > 500
@@ -174,6 +175,6 @@ def test_stands_say_what_became_of_their_points(hill, make_scene, vectors):  # n
     found = plant_trees(scene.loaded, scene.world, scene.elevation)
     assert sorted(found.trees.height_m.tolist()) == pytest.approx([12.0, 12.192])
     assert found.notes[-1].endswith("stand.gpkg: 2 trees planted; left out: 1 without a usable height or crown")
-    with pytest.raises(LevelError, match=r"forest\.0\.least_height: '3.0' .*no raster of canopy heights"):
+    with pytest.raises(LevelError, match=r"forest\.0\.least_height: '3.0' needs a raster of canopy heights"):
         scene = make_scene(hill, forest=[{"source": source, "least_height": 3}])
         plant_trees(scene.loaded, scene.world, scene.elevation)

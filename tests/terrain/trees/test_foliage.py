@@ -13,7 +13,7 @@ from skugga.terrain.trees import foliage as module
 from skugga.terrain.trees.foliage import THRESHOLD, TREE_VARIANTS, Foliage, coverage_mips, foliage
 from skugga.terrain.trees.foliage_paint import Whorled
 
-WHORLED = [i for i, (_, model) in enumerate(module._KINDS) if isinstance(model, Whorled)]
+WHORLED = [i for i, (_, model) in enumerate(module._VARIANT_MODELS) if isinstance(model, Whorled)]
 SIDES = range(0, 2 * len(TREE_VARIANTS), 2)
 LAYERS = range(2 * len(TREE_VARIANTS))
 
@@ -136,7 +136,7 @@ def test_looks() -> None:
 
 
 def test_a_look_names_the_proportions_it_is_painted_in() -> None:
-    assert all(variant.crown_to_height == pytest.approx(2.0 * model.radius) for variant, model in module._KINDS)
+    assert all(variant.crown_to_height == pytest.approx(2.0 * model.radius) for variant, model in module._VARIANT_MODELS)
 
 
 def test_levels(pictures: Foliage) -> None:

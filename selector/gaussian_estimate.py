@@ -48,7 +48,7 @@ class SharedVariance(BaseModel):
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class GaussianEstimate:
     """Joint normal distribution of the logarithms of a value (an error or a time) of n candidates.
 
     Attributes
@@ -65,7 +65,7 @@ class Belief:
     @classmethod
     def prior(
         cls, expected_log: Sequence[float], scales: Sequence[float], families: Sequence[object], shared: SharedVariance
-    ) -> Belief:
+    ) -> GaussianEstimate:
         """Return the distribution before any trial.
 
         ``expected_log`` are the expected logarithms, ``scales`` the scales of their logistic distributions, and ``families`` the
@@ -77,28 +77,28 @@ class Belief:
         correlation = shared.view + shared.family * same + shared.own * np.eye(len(families))
         return cls(np.array(expected_log, np.float64), correlation * np.outer(sd, sd))
 
-    def observed(self, which: int, value_log: float, noise: float) -> Belief:
+    def after_observation(self, which: int, value_log: float, noise: float) -> GaussianEstimate:
         """Return the posterior after an observation of candidate ``which``, with the standard deviation ``noise``."""
         column = self.covariance[:, which]
         total = column[which] + noise**2
         if total <= 0.0:
             return self
-        gain, off = column / total, value_log - self.mean[which]
-        told = float(np.clip(off, -MOST_SURPRISE * np.sqrt(total), MOST_SURPRISE * np.sqrt(total)))
-        mean = self.mean + gain * told
-        mean[which] = self.mean[which] + gain[which] * off
-        return Belief(mean, self.covariance - np.outer(gain, column))
+        gain, residual = column / total, value_log - self.mean[which]
+        clipped_residual = float(np.clip(residual, -MOST_SURPRISE * np.sqrt(total), MOST_SURPRISE * np.sqrt(total)))
+        mean = self.mean + gain * clipped_residual
+        mean[which] = self.mean[which] + gain[which] * residual
+        return GaussianEstimate(mean, self.covariance - np.outer(gain, column))
 
     def scale(self, which: int) -> float:
         """Return the scale of a candidate's logistic distribution."""
         return float(np.sqrt(max(self.covariance[which, which], 0.0))) / LOGISTIC_SD
 
-    def chance_over(self, which: int, limit_log: float) -> float:
+    def probability_over(self, which: int, limit_log: float) -> float:
         """Return the probability, in [0, 1], that a candidate's logarithm exceeds a limit."""
-        return logistic_chance_over(float(self.mean[which]) - limit_log, self.scale(which))
+        return logistic_probability_over(float(self.mean[which]) - limit_log, self.scale(which))
 
 
-def logistic_chance_over(off: float, scale: float) -> float:
+def logistic_probability_over(off: float, scale: float) -> float:
     """Return the probability, in [0, 1], that a logistic variable exceeds a limit. Its mean lies ``off`` above the limit."""
     if scale <= 0.0:
         return float(off > 0.0)

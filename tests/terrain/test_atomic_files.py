@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from skugga.terrain.whole_files import forget_halves, replaced_together, replaced_whole, write_whole
+from skugga.terrain.atomic_files import atomic_folder, atomic_path, remove_partial_files, write_atomically
 
 
 def names(folder):
@@ -20,8 +20,8 @@ def names(folder):
 
 
 def test_text_and_bytes_are_written_as_they_are(tmp_path):
-    write_whole(tmp_path / "a.txt", "Höhe\r\n")
-    write_whole(tmp_path / "b.bin", bytes(range(256)))
+    write_atomically(tmp_path / "a.txt", "Höhe\r\n")
+    write_atomically(tmp_path / "b.bin", bytes(range(256)))
     assert (tmp_path / "a.txt").read_bytes() == "Höhe\r\n".encode()
     assert (tmp_path / "b.bin").read_bytes() == bytes(range(256))
     assert names(tmp_path) == ["a.txt", "b.bin"]
@@ -29,9 +29,9 @@ def test_text_and_bytes_are_written_as_they_are(tmp_path):
 
 def test_a_disk_that_fills_up_leaves_the_file_that_was_there(tmp_path, full_disk):
     path = tmp_path / "a.bin"
-    write_whole(path, b"old")
+    write_atomically(path, b"old")
     with full_disk(1000), pytest.raises(OSError, match="large") as caught:
-        write_whole(path, bytes(5000))
+        write_atomically(path, bytes(5000))
     assert caught.value.filename == str(path)
     assert path.read_bytes() == b"old" and names(tmp_path) == ["a.bin"]
 
@@ -40,14 +40,14 @@ def test_a_disk_that_fills_up_leaves_the_file_that_was_there(tmp_path, full_disk
 def test_what_ends_the_writing_leaves_the_file_that_was_there_and_nothing_beside_it(tmp_path, error):
     path = tmp_path / "a.bin"
     path.write_bytes(b"old")
-    with pytest.raises(error), replaced_whole(path) as part:
+    with pytest.raises(error), atomic_path(path) as part:
         part.write_bytes(b"half of the new")
         raise error
     assert path.read_bytes() == b"old" and names(tmp_path) == ["a.bin"]
 
 
 def test_writing_nothing_is_an_error(tmp_path):
-    with pytest.raises(FileNotFoundError), replaced_whole(tmp_path / "a.bin"):
+    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a.bin"):
         pass
     assert names(tmp_path) == []
 
@@ -55,9 +55,9 @@ def test_writing_nothing_is_an_error(tmp_path):
 def test_what_is_synced_before_it_takes_its_place(tmp_path, monkeypatch):
     order = []
     fsync, replace = os.fsync, os.replace
-    monkeypatch.setattr("skugga.terrain.whole_files.os.fsync", lambda number: (order.append("sync"), fsync(number)))
-    monkeypatch.setattr("skugga.terrain.whole_files.os.replace", lambda a, b: (order.append("replace"), replace(a, b)))
-    write_whole(tmp_path / "a.bin", b"new")
+    monkeypatch.setattr("skugga.terrain.atomic_files.os.fsync", lambda number: (order.append("sync"), fsync(number)))
+    monkeypatch.setattr("skugga.terrain.atomic_files.os.replace", lambda a, b: (order.append("replace"), replace(a, b)))
+    write_atomically(tmp_path / "a.bin", b"new")
     assert order == ["sync", "replace", "sync"]
 
 
@@ -67,23 +67,23 @@ def test_a_file_keeps_its_rights_and_a_link_stays_one(tmp_path):
     target.write_bytes(b"old")
     target.chmod(0o640)
     (tmp_path / "link.bin").symlink_to(target)
-    write_whole(tmp_path / "link.bin", b"new")
+    write_atomically(tmp_path / "link.bin", b"new")
     assert target.read_bytes() == b"new" and stat.S_IMODE(target.stat().st_mode) == 0o640
     assert (tmp_path / "link.bin").is_symlink()
 
 
 def test_a_new_file_has_the_rights_of_new_files(tmp_path):
     (tmp_path / "usual").write_bytes(b"")
-    write_whole(tmp_path / "a.bin", b"new")
+    write_atomically(tmp_path / "a.bin", b"new")
     assert (tmp_path / "a.bin").stat().st_mode == (tmp_path / "usual").stat().st_mode
 
 
 def test_a_folder_and_a_file_without_a_folder_are_refused_by_their_own_name(tmp_path):
     with pytest.raises(IsADirectoryError) as caught:
-        write_whole(tmp_path, b"new")
+        write_atomically(tmp_path, b"new")
     assert caught.value.filename == str(tmp_path)
     with pytest.raises(FileNotFoundError) as missing:
-        write_whole(tmp_path / "nowhere" / "a.bin", b"new")
+        write_atomically(tmp_path / "nowhere" / "a.bin", b"new")
     assert missing.value.filename == str(tmp_path / "nowhere" / "a.bin")
 
 
@@ -93,18 +93,18 @@ def test_a_pipe_is_written_into(tmp_path):
     read = []
     reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
     reader.start()
-    write_whole(pipe, b"new")
+    write_atomically(pipe, b"new")
     reader.join(30)
     assert read == [b"new"] and names(tmp_path) == ["pipe"]
 
 
 def test_a_long_name_is_no_hindrance(tmp_path):
-    write_whole(tmp_path / ("x" * 251 + ".bin"), b"new")
+    write_atomically(tmp_path / ("x" * 251 + ".bin"), b"new")
     assert names(tmp_path) == ["x" * 251 + ".bin"]
 
 
 def test_an_error_of_another_file_keeps_its_name(tmp_path):
-    with pytest.raises(FileNotFoundError) as caught, replaced_whole(tmp_path / "a.bin"):
+    with pytest.raises(FileNotFoundError) as caught, atomic_path(tmp_path / "a.bin"):
         (tmp_path / "missing.txt").read_bytes()
     assert caught.value.filename == str(tmp_path / "missing.txt")
 
@@ -114,7 +114,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def write_three(folder: Path, content: bytes) -> None:
-    with replaced_together(folder) as part:
+    with atomic_folder(folder) as part:
         for name in "abc":
             (part / name).write_bytes(content)
 
@@ -136,7 +136,7 @@ def test_what_ends_the_writing_of_files_leaves_those_that_were_there(tmp_path, e
     folder = tmp_path / "frames"
     if is_there:
         write_three(folder, b"old")
-    with pytest.raises(error), replaced_together(folder) as part:
+    with pytest.raises(error), atomic_folder(folder) as part:
         (part / "a").write_bytes(b"new")
         raise error
     assert names(tmp_path) == (["frames"] if is_there else [])
@@ -156,7 +156,7 @@ def test_what_ends_the_moving_of_files_moves_them_back(tmp_path, call, monkeypat
             raise KeyboardInterrupt
         replace(source, target)
 
-    monkeypatch.setattr("skugga.terrain.whole_files.os.replace", interrupted)
+    monkeypatch.setattr("skugga.terrain.atomic_files.os.replace", interrupted)
     if call < 6:
         with pytest.raises(KeyboardInterrupt):
             write_three(folder, b"new")
@@ -182,7 +182,7 @@ def test_a_disk_that_fills_up_while_files_are_written(tmp_path, full_disk):
 
 
 def test_this_module_needs_nothing_but_the_standard_library():
-    code = "import sys, skugga.terrain.whole_files; print('numpy' in sys.modules or 'rasterio' in sys.modules)"
+    code = "import sys, skugga.terrain.atomic_files; print('numpy' in sys.modules or 'rasterio' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 
@@ -211,8 +211,8 @@ TEMPORARY = {
     "shadows/truth/cache.py": "inside of what replaces a file",
     "terrain/compiling/farm.py": "its lock",
     "terrain/compiling/store.py": "entries that are verified when they are read, so that nothing waits for the disk; its lock",
-    "terrain/whole_files.py": "the place where files are written",
-    "terrain/trees/kept_pictures.py": "inside of what replaces a file",
+    "terrain/atomic_files.py": "the place where files are written",
+    "terrain/trees/cached_pictures.py": "inside of what replaces a file",
 }
 """Modules that write by other means, and what they write."""
 
@@ -232,16 +232,16 @@ def writing_modules():
 
 def test_files_are_written_in_one_place():
     found = set(writing_modules())
-    assert found == set(TEMPORARY), "skugga.terrain.whole_files writes files"
+    assert found == set(TEMPORARY), "skugga.terrain.atomic_files writes files"
 
 
 def test_what_a_killed_writer_left_is_deleted(tmp_path: Path):
     path, other = tmp_path / "a[1].bin", tmp_path / "a1.bin"
     for target in (path, other):
-        with replaced_whole(target) as part:
+        with atomic_path(target) as part:
             part.write_bytes(b"whole")
         left = f".{target.name}.0123abcd"
         (tmp_path / left).mkdir()
         (tmp_path / left / target.name).write_bytes(b"half")
-    forget_halves(path)
+    remove_partial_files(path)
     assert sorted(each.name for each in tmp_path.iterdir()) == [".a1.bin.0123abcd", "a1.bin", "a[1].bin"]

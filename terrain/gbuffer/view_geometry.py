@@ -50,30 +50,30 @@ _NO_LIFT = np.zeros((0, 0), np.float32)
 _NO_SHAPE, _NO_TURN = np.zeros((0, 4), np.float32), np.zeros((0, 2), np.float32)
 
 
-def frame_of(scene: Scene, view: MapView | PerspectiveView) -> LocalFrame:
+def view_frame(scene: Scene, view: MapView | PerspectiveView) -> LocalFrame:
     """Return the local frame that a view is drawn in."""
     if isinstance(view, PerspectiveView):
         return view.frame(scene.world)
     return scene.world.frame_near(view.grid.crs, *view.centre)
 
 
-def geometry_of(
+def geometry_buffer(
     scene: Scene,
     view: MapView | PerspectiveView,
     frame: LocalFrame | None = None,
     max_triangles: int = MAX_GROUND_TRIANGLES,
-    wanted: np.ndarray | None = None,
+    pixel_mask: np.ndarray | None = None,
     nodes: MapNodes | None = None,
 ) -> GeometryBuffer:
     """Return the geometry buffer of a view (of a block, if it is a map).
 
-    ``wanted`` (rows, cols) selects pixels of a map; the others show nothing. ``nodes`` are those that a map shares with other views
+    ``pixel_mask`` (rows, cols) selects pixels of a map; the others show nothing. ``nodes`` are those that a map shares with other views
     (``shared_nodes``). Raises ``GraphicsError``.
     """
-    frame = frame or frame_of(scene, view)
+    frame = frame or view_frame(scene, view)
     if isinstance(view, PerspectiveView):
-        return buffer_of(scene, view, RasterisedView(scene, view, frame, max_triangles))
-    return _map_buffer(scene, view, frame, wanted, nodes)
+        return resolve_buffer(scene, view, RasterisedView(scene, view, frame, max_triangles))
+    return _map_buffer(scene, view, frame, pixel_mask, nodes)
 
 
 def shared_nodes(scene: Scene, views: Sequence[MapView | PerspectiveView], frame: LocalFrame) -> MapNodes | None:
@@ -84,8 +84,8 @@ def shared_nodes(scene: Scene, views: Sequence[MapView | PerspectiveView], frame
     return map_nodes(scene.surface(maps[0].grid), maps, frame)
 
 
-class Unresolved(Protocol):
-    """The rasterised triangles of a camera, before ``buffer_of`` computes points from them."""
+class RasterisedTriangles(Protocol):
+    """The rasterised triangles of a camera, before ``resolve_buffer`` computes points from them."""
 
     @property
     def frame(self) -> LocalFrame: ...
@@ -104,7 +104,7 @@ class Unresolved(Protocol):
 
 
 class RasterisedView:
-    """The triangles that a camera sees, in all pixels or in those that ``wanted`` (rows, cols) selects."""
+    """The triangles that a camera sees, in all pixels or in those that ``pixel_mask`` (rows, cols) selects."""
 
     def __init__(
         self,
@@ -113,38 +113,40 @@ class RasterisedView:
         frame: LocalFrame,
         max_triangles: int = MAX_GROUND_TRIANGLES,
         kinds: tuple[CasterKind, ...] = get_args(CasterKind),
-        wanted: np.ndarray | None = None,
+        pixel_mask: np.ndarray | None = None,
     ) -> None:
         self.frame = frame
         self.ground = ground_mesh(scene, view, max_triangles)
         self.tree_instances: TreeInstances | None = None
         if "forest" in kinds:
             self.tree_instances = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
-        self.solids = solids_in(scene.objects, frame)
+        self.solids = solid_vertices(scene.objects, frame)
         solids = scene.objects.solids
         drawn = None if self.solids is None or solids is None else (self.solids, solids.triangles)
-        self.seen: IdBuffer = rasterise_perspective(view, frame, self.ground, drawn, self.tree_instances, wanted)
+        self.seen: IdBuffer = rasterise_perspective(view, frame, self.ground, drawn, self.tree_instances, pixel_mask)
 
 
 PixelSelection = tuple[PerspectiveView, RasterisedView, tuple[np.ndarray, np.ndarray]]
 """A view, its rasterised triangles, and rows and columns (n, cols) of some of its pixels."""
 
 
-def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: PixelSelection | None = None) -> GeometryBuffer:
+def resolve_buffer(
+    scene: Scene, view: PerspectiveView, visible: RasterisedTriangles, samples: PixelSelection | None = None
+) -> GeometryBuffer:
     """Return the geometry buffer of a camera's rasterised triangles.
 
-    ``below`` adds rows of pixels of a finer view of the same camera below the view's own rows.
+    ``samples`` adds rows of pixels of a finer view of the same camera below the view's own rows.
     """
-    number, root = visible.seen.number, visible.seen.albedo_root
+    number, root = visible.seen.number, visible.seen.sqrt_albedo
     finer, (row, col) = view, (np.zeros((0, view.cols), np.int64), np.zeros((0, view.cols), np.int64))
-    if below is not None:
-        finer, seen, (row, col) = below
+    if samples is not None:
+        finer, seen, (row, col) = samples
         number = np.concatenate([number, seen.seen.number[row, col]])
-        root = np.concatenate([root, seen.seen.albedo_root[row, col]]) if root.size else root
+        root = np.concatenate([root, seen.seen.sqrt_albedo[row, col]]) if root.size else root
     eye, camera_from_frame = view.in_frame(visible.frame)
     tangents, finer_tangents = (np.array([v.col0, v.row0, v.step]) / v.focal_px for v in (view, finer))
     ground, trees, solids = visible.ground, visible.tree_instances, scene.objects.solids
-    image = imagery_of(scene)
+    image = ground_imagery(scene)
     points = resolve_perspective(
         number,
         PixelCamera(tangents, finer_tangents, row, col, view.rows, eye, np.ascontiguousarray(camera_from_frame.T)),
@@ -171,20 +173,20 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
         view, visible.frame, points.there, points.position, points.height, points.normal, points.shading, points.crease,
         points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
         solids_frame_m=visible.solids,
-        samples_from=None if below is None else view.rows, sample_pixels=None if below is None else (row, col),
+        samples_from=None if samples is None else view.rows, sample_pixels=None if samples is None else (row, col),
         lift_m=points.lift_m,
     )  # fmt: skip
 
 
 def _map_buffer(
-    scene: Scene, view: MapView, frame: LocalFrame, wanted: np.ndarray | None, nodes: MapNodes | None
+    scene: Scene, view: MapView, frame: LocalFrame, pixel_mask: np.ndarray | None, nodes: MapNodes | None
 ) -> GeometryBuffer:
     surface = scene.surface(view.grid)
     if scene.elevation.surface == "blocks":
-        buffer = column_geometry(surface, view, frame, wanted)
+        buffer = column_geometry(surface, view, frame, pixel_mask)
     else:
-        buffer = map_geometry(surface, view, frame, wanted, nodes)
-    image = imagery_of(scene)
+        buffer = map_geometry(surface, view, frame, pixel_mask, nodes)
+    image = ground_imagery(scene)
     if image is not None:
         buffer = replace(buffer, albedo=_draped(scene, image, view))
     pixel_m = map_pixel_m(scene.world, view)
@@ -192,7 +194,7 @@ def _map_buffer(
     if solids is None and trees is None:
         return buffer
     crs = view.grid.crs
-    solid_points = solids_in(scene.objects, frame)
+    solid_points = solid_vertices(scene.objects, frame)
     solid_px = None if solids is None else _pixels(view, scene.objects.solids_on(crs))
     tree_px = None if trees is None else _pixels(view, scene.objects.trees_on(crs)[trees.number])
     px_from_m = _px_from_m(scene, view, frame)
@@ -214,12 +216,16 @@ def _map_buffer(
         buffer.crease, buffer.kind, albedo, corners, _NO_CELLS, _NO_LIFT,
     )  # fmt: skip
     resolve_map(
-        seen.number if wanted is None else np.where(wanted, seen.number, 0), solid_parts, tree_parts, seen.albedo_root, points
+        seen.number if pixel_mask is None else np.where(pixel_mask, seen.number, 0),
+        solid_parts,
+        tree_parts,
+        seen.sqrt_albedo,
+        points,
     )
     return replace(buffer, corners_frame_m=corners, albedo=albedo, tree_instances=trees, solids_frame_m=solid_points)
 
 
-def solids_in(objects: SceneObjects, frame: LocalFrame) -> np.ndarray | None:
+def solid_vertices(objects: SceneObjects, frame: LocalFrame) -> np.ndarray | None:
     """Return the vertices (n, 3) float64 of the meshes in a frame; ``None`` without meshes."""
     solids = objects.solids
     return None if solids is None else frame.points_from_earth(solids.vertices_earth_m)
@@ -263,7 +269,7 @@ def _imagery(elevation: Elevation, source: str, stamp: tuple[int, int]) -> Image
     return Imagery(source)
 
 
-def imagery_of(scene: Scene) -> Imagery | None:
+def ground_imagery(scene: Scene) -> Imagery | None:
     """Return the level's ground imagery, or ``None``. Raises ``SourceError``."""
     source = scene.loaded.level.terrain.imagery
     if source is None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from skugga.selector.cost.device_profile import profile_path
 from skugga.selector.map_probes import MapProbes
+from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.user_cache import user_cache
-from skugga.terrain.whole_files import write_whole
 
 MOST_KEPT = 200
 """Files kept for a device. The oldest ones are deleted: levels change, and their earlier versions are not needed again."""
@@ -27,7 +27,7 @@ def save_probes(renderer: str, version: str, level_version: str, probes: MapProb
     folder = probes_folder(renderer, version)
     path = folder / f"{level_version}.json"
     folder.mkdir(parents=True, exist_ok=True)
-    write_whole(path, load_probes(path).with_(probes).model_dump_json(indent=1))
+    write_atomically(path, load_probes(path).merged_with(probes).model_dump_json(indent=1))
     kept = sorted(folder.glob("*.json"), key=lambda file: file.stat().st_mtime_ns, reverse=True)
     for old in kept[MOST_KEPT:]:
         with suppress(OSError):

@@ -16,18 +16,18 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.lift import up_at
-from skugga.terrain.gbuffer.map_points import ON_EDGE, crease_at, facet_corners, facets_at
+from skugga.terrain.gbuffer.map_points import EDGE_TOLERANCE, crease_at, facet_corners, facets_at
 from skugga.terrain.gbuffer.resolve import RELIEF
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.lights import LightPosition
 
-STEEPEST = 1.0 / 32.0
+MIN_UPWARD = 1.0 / 32.0
 """Minimum upward component of a facet's unit normal, to limit the lift of a ray's start: steeper walls lift no ray higher."""
 
-GRAZING = 2.0**-20
+MIN_LIGHT_SINE = 2.0**-20
 """Sine of the angle (0.2 seconds of arc) up to which a light counts as below a surface. Unit normals in float32 cannot resolve
 the side that it is on, and it would contribute a millionth of its light.
 """
@@ -70,7 +70,7 @@ class FacingNormals(NamedTuple):
     lifted: np.ndarray
 
 
-def _from_afar(buffer: GeometryBuffer, light: LightPosition) -> bool:
+def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bool:
     """Return whether the light is directional and the view is in perspective.
 
     Then the result depends neither on where on their triangles the points lie, or were moved to, nor on which of them are queried.
@@ -78,19 +78,19 @@ def _from_afar(buffer: GeometryBuffer, light: LightPosition) -> bool:
     return buffer.surface is None and light.w == 0.0
 
 
-def _made_from(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ...]:
-    if not _from_afar(buffer, light):
+def _cache_key(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ...]:
+    if not _is_position_independent(buffer, light):
         return buffer, light
     return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.kind, buffer.lift_m, light
 
 
-@cached("light", 512 * MIB, key=_made_from, most=8)
+@cached("light", 512 * MIB, key=_cache_key, max_entries=8)
 def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
     """Return the normals that a light uses. Values off the surface are undefined."""
     nowhere = np.zeros(buffer.there.shape, bool)
     facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), None, nowhere, nowhere.copy())
     view, surface, ground = buffer.view, buffer.surface, buffer.kind == RELIEF
-    if not _from_afar(buffer, light):
+    if not _is_position_independent(buffer, light):
         ground &= buffer.there
     if surface is not None and isinstance(view, MapView):
         facing = facing._replace(lift_frame=buffer.normal_frame.copy())
@@ -98,52 +98,54 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
         col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
         sheet, points = surface.sheet, buffer.position_frame_m
         nodes, centre = sheet.position_frame_m, surface.centre_frame_m
-        _turn_to(nodes, sheet.normals_frame, sheet.falls, centre, row, col, ground, points, light, facing)
+        _write_facing_facets(nodes, sheet.normals_frame, sheet.falls, centre, row, col, ground, points, light, facing)
     if buffer.lift_m is not None:
-        in_shares(
-            len(ground), _go_by_smooth, ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m, light, facing
+        run_in_chunks(
+            len(ground), _write_smooth_normals, ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m, light, facing
         )  # fmt: skip
     return facing
 
 
 @compiled
-def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, facing):
+def _write_facing_facets(nodes, faces, falls, centre, row, col, ground, position, light, facing):
     """Write normal, crease, lift and blocking of the facet that faces a light most, where several share a point of the ground."""
     normal, crease, lift, blocked, _ = facing
-    found, axes = np.empty((8, 3), np.int64), np.empty((3, 3))
+    facets, axes = np.empty((8, 3), np.int64), np.empty((3, 3))
     for i in range(row.size):
         for j in range(col.size):
             if not ground[i, j]:
                 continue
-            count = facets_at(faces, falls, row[i], col[j], found)
+            count = facets_at(faces, falls, row[i], col[j], facets)
             p = position[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
-            _axes_at(p, centre, axes)
+            _write_local_axes(p, centre, axes)
             up = axes[2]
             east, north = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-            flattest = _along(normal[i, j], up)
+            flattest = _dot(normal[i, j], up)
             if count > 1:
-                most, best = -np.inf, 0
+                max_facing, best = -np.inf, 0
                 for k in range(count):
-                    n = faces[found[k, 0], found[k, 1], found[k, 2]]
+                    n = faces[facets[k, 0], facets[k, 1], facets[k, 2]]
                     towards = n[0] * x + n[1] * y + n[2] * z
-                    if towards < 0.0 and _leads_over(nodes, falls, found[k], p, axes, east, north):
+                    if towards < 0.0 and _enters_facet(nodes, falls, facets[k], p, axes, east, north):
                         blocked[i, j] = True
-                    if towards > most:
-                        most, best = towards, k
-                    flattest = min(flattest, _along(n, up)) if k > 0 else _along(n, up)
+                    if towards > max_facing:
+                        max_facing, best = towards, k
+                    flattest = min(flattest, _dot(n, up)) if k > 0 else _dot(n, up)
                 for k in range(3):
-                    normal[i, j, k] = faces[found[best, 0], found[best, 1], found[best, 2], k]
-                    lift[i, j, k] = up[k] / max(flattest, STEEPEST)
+                    normal[i, j, k] = faces[facets[best, 0], facets[best, 1], facets[best, 2], k]
+                    lift[i, j, k] = up[k] / max(flattest, MIN_UPWARD)
                 crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
-            if _on_rim(falls, found, count, row[i], col[j]) and _along_a_side(nodes, falls, found, count, p, axes, east, north):
-                east, north = _inwards(nodes, falls, found, count, p, axes)
+            if _is_on_rim(falls, facets, count, row[i], col[j]) and _is_parallel_to_side(
+                nodes, falls, facets, count, p, axes, east, north
+            ):
+                east, north = _inward_direction(nodes, falls, facets, count, p, axes)
                 for k in range(3):
-                    lift[i, j, k] = east * axes[0, k] + north * axes[1, k] + 2.0 * up[k] / max(flattest, STEEPEST)
+                    lift[i, j, k] = east * axes[0, k] + north * axes[1, k] + 2.0 * up[k] / max(flattest, MIN_UPWARD)
 
 
 @compiled
-def _go_by_smooth(first, last, ground, smooth, lift, position, light, facing):
+def _write_smooth_normals(first, last, ground, smooth, lift, position, light, facing):
     """Write the smooth ground's values at points where its normal decides.
 
     It does where the smooth normal does not face the light, and where it alone faces the light and the smooth ground lies above
@@ -156,32 +158,32 @@ def _go_by_smooth(first, last, ground, smooth, lift, position, light, facing):
                 continue
             p, n, s = position[i, j], normal[i, j], smooth[i, j]
             x, y, z = light.x - light.w * p[0], light.y - light.w * p[1], light.z - light.w * p[2]
-            least = GRAZING * np.sqrt(x * x + y * y + z * z)
-            smooth_faces = s[0] * x + s[1] * y + s[2] * z > least
-            facet_faces = n[0] * x + n[1] * y + n[2] * z > least
+            min_facing = MIN_LIGHT_SINE * np.sqrt(x * x + y * y + z * z)
+            smooth_faces = s[0] * x + s[1] * y + s[2] * z > min_facing
+            facet_faces = n[0] * x + n[1] * y + n[2] * z > min_facing
             lifted[i, j] = smooth_faces and not facet_faces and lift[i, j] > LEAST_LIFT_M
             if lifted[i, j] or not smooth_faces:
-                apart = (n[0] - s[0]) ** 2 + (n[1] - s[1]) ** 2 + (n[2] - s[2]) ** 2
-                crease[i, j] += np.sqrt(apart)
+                squared_distance = (n[0] - s[0]) ** 2 + (n[1] - s[1]) ** 2 + (n[2] - s[2]) ** 2
+                crease[i, j] += np.sqrt(squared_distance)
                 blocked[i, j] = False
                 for k in range(3):
                     normal[i, j, k] = s[k]
 
 
 @internal
-def _along(vector, axis):
+def _dot(vector, axis):
     return vector[0] * axis[0] + vector[1] * axis[1] + vector[2] * axis[2]
 
 
 @internal
-def _axes_at(point, centre, out):
+def _write_local_axes(point, centre, out):
     """Write two horizontal unit axes and the one up at a point as rows (3, 3). In a flat world they are the frame's axes."""
     up = out[2]
     up_at(point, centre, up)
     first = 0 if abs(up[0]) < 0.7 else 1
     for k in range(3):
         out[0, k] = (1.0 if k == first else 0.0) - up[first] * up[k]
-    length = np.sqrt(_along(out[0], out[0]))
+    length = np.sqrt(_dot(out[0], out[0]))
     for k in range(3):
         out[0, k] /= length
     for k in range(3):
@@ -189,14 +191,14 @@ def _axes_at(point, centre, out):
 
 
 @internal
-def _in_plan(node, p, axes):
+def _plan_offset(node, p, axes):
     """Return a node's position in plan, relative to a point."""
     x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
     return axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
 
 
 @internal
-def _leads_over(nodes, falls, facet, p, axes, east, north):
+def _enters_facet(nodes, falls, facet, p, axes, east, north):
     """Return whether a ray from a point on a facet's side or corner leads, in plan, over the facet.
 
     It does if none of the point's barycentric coordinates that are 0 decreases along the ray.
@@ -204,45 +206,47 @@ def _leads_over(nodes, falls, facet, p, axes, east, north):
     r, c, half = facet
     corners = facet_corners(falls[r, c], half)
     for k in range(3):
-        a = _in_plan(nodes[r + corners[k][0], c + corners[k][1]], p, axes)
-        b = _in_plan(nodes[r + corners[(k + 1) % 3][0], c + corners[(k + 1) % 3][1]], p, axes)
-        d = _in_plan(nodes[r + corners[(k + 2) % 3][0], c + corners[(k + 2) % 3][1]], p, axes)
+        a = _plan_offset(nodes[r + corners[k][0], c + corners[k][1]], p, axes)
+        b = _plan_offset(nodes[r + corners[(k + 1) % 3][0], c + corners[(k + 1) % 3][1]], p, axes)
+        d = _plan_offset(nodes[r + corners[(k + 2) % 3][0], c + corners[(k + 2) % 3][1]], p, axes)
         side_x, side_y = d[0] - b[0], d[1] - b[1]
-        whole = side_x * (a[1] - b[1]) - side_y * (a[0] - b[0])
-        share = (side_y * b[0] - side_x * b[1]) / whole
-        turn = (side_x * north - side_y * east) * np.sign(whole)
+        area = side_x * (a[1] - b[1]) - side_y * (a[0] - b[0])
+        share = (side_y * b[0] - side_x * b[1]) / area
+        turn = (side_x * north - side_y * east) * np.sign(area)
         if share <= 1e-5 and turn < -PARALLEL * np.sqrt((side_x * side_x + side_y * side_y) * (east * east + north * north)):
             return False
     return True
 
 
 @internal
-def _on_rim(falls, found, count, row, col):
+def _is_on_rim(falls, facets, count, row, col):
     """Return whether a position on a node or between two nodes lies on the rim of the ground.
 
     There a quad round it is missing, or the other half of a quad on whose diagonal it lies.
     """
     quads = 0
     for k in range(count):
-        r, c = found[k, 0], found[k, 1]
-        if k > 0 and r == found[k - 1, 0] and c == found[k - 1, 1]:
+        r, c = facets[k, 0], facets[k, 1]
+        if k > 0 and r == facets[k - 1, 0] and c == facets[k - 1, 1]:
             continue
         quads += 1
-        is_paired = k + 1 < count and r == found[k + 1, 0] and c == found[k + 1, 1]
-        aside = (col - c) - (row - r) if falls[r, c] else 1.0 - (row - r) - (col - c)
-        if not is_paired and abs(aside) <= ON_EDGE:
+        is_paired = k + 1 < count and r == facets[k + 1, 0] and c == facets[k + 1, 1]
+        diagonal_distance = (col - c) - (row - r) if falls[r, c] else 1.0 - (row - r) - (col - c)
+        if not is_paired and abs(diagonal_distance) <= EDGE_TOLERANCE:
             return True
-    beside = (2 if abs(row - np.rint(row)) <= ON_EDGE else 1) * (2 if abs(col - np.rint(col)) <= ON_EDGE else 1)
-    return quads < beside
+    expected_quads = (2 if abs(row - np.rint(row)) <= EDGE_TOLERANCE else 1) * (
+        2 if abs(col - np.rint(col)) <= EDGE_TOLERANCE else 1
+    )
+    return quads < expected_quads
 
 
 @internal
-def _along_a_side(nodes, falls, found, count, p, axes, east, north):
+def _is_parallel_to_side(nodes, falls, facets, count, p, axes, east, north):
     """Return whether a ray from a point is parallel, in plan, to a side of one of its facets."""
     for k in range(count):
-        r, c, half = found[k]
+        r, c, half = facets[k]
         for down, right in facet_corners(falls[r, c], half):
-            x, y = _in_plan(nodes[r + down, c + right], p, axes)
+            x, y = _plan_offset(nodes[r + down, c + right], p, axes)
             ahead = x * east + y * north
             if ahead > 0.0 and abs(x * north - y * east) <= PARALLEL * ahead:
                 return True
@@ -250,13 +254,13 @@ def _along_a_side(nodes, falls, found, count, p, axes, east, north):
 
 
 @internal
-def _inwards(nodes, falls, found, count, p, axes):
+def _inward_direction(nodes, falls, facets, count, p, axes):
     """Return the horizontal unit vector from a point to the middle of its facets."""
     east, north = 0.0, 0.0
     for k in range(count):
-        r, c, half = found[k]
+        r, c, half = facets[k]
         for down, right in facet_corners(falls[r, c], half):
-            x, y = _in_plan(nodes[r + down, c + right], p, axes)
+            x, y = _plan_offset(nodes[r + down, c + right], p, axes)
             east, north = east + x, north + y
     length = np.sqrt(east * east + north * north)
     return east / length, north / length

@@ -20,13 +20,13 @@ SENTINELS = (
 )  # fmt: skip
 """Values that programs write for missing data."""
 
-HUGE = 1e9
+MIN_SENTINEL = 1e9
 """Larger numbers, such as 1e38, are sentinels: no unit gives such heights."""
 
 NEAR_SHARE = 0.25
 """Other values count as near a sentinel within this share of its distance to their mean."""
 
-LEAST_DISTANCE_M = 50.0
+MIN_NEAR_DISTANCE_M = 50.0
 """Lower bound of that distance, metres: a sentinel this close to the mean is harmless, as it looks like ground."""
 
 
@@ -38,7 +38,7 @@ class UnmarkedCells:
     ----------
     cells
         Number of cells read.
-    any_beyond
+    has_implausible
         Whether any undeclared cell cannot be a height, including cells that are not finite.
     beyond
         Number of undeclared finite cells that are neither plausible heights nor known sentinels.
@@ -47,30 +47,30 @@ class UnmarkedCells:
     """
 
     cells: int = 0
-    any_beyond: bool = False
+    has_implausible: bool = False
     beyond: int = 0
     low_m: float = np.inf
     high_m: float = -np.inf
     _sentinels: Counter[float] = field(default_factory=Counter)
-    _alike: Counter[float] = field(default_factory=Counter)
-    _near: Counter[float] = field(default_factory=Counter)
+    _cells_alike: Counter[float] = field(default_factory=Counter)
+    _cells_near: Counter[float] = field(default_factory=Counter)
     _value_beyond: float = np.nan
 
     def add(self, stored: np.ndarray, height_m: np.ndarray, marked: np.ndarray, plausible: np.ndarray) -> None:
         """Count cells, given as stored values, heights in metres, and two masks: declared empty, and plausible as heights."""
         self.cells += stored.size
-        known = plausible & ~marked
+        has_height = plausible & ~marked
         if not (marked | plausible).all():
-            self.any_beyond = True
+            self.has_implausible = True
             self._add_beyond(stored, height_m, ~marked & ~plausible & np.isfinite(height_m))
-        if known.any():
-            heights = stored if known.all() else stored[known]
+        if has_height.any():
+            heights = stored if has_height.all() else stored[has_height]
             for end in {float(heights.min()), float(heights.max())} & set(SENTINELS):
-                self._add_alike(end, stored, height_m, known)
+                self._add_alike(end, stored, height_m, has_height)
 
     def _add_beyond(self, stored: np.ndarray, height_m: np.ndarray, beyond: np.ndarray) -> None:
         values = stored[beyond]
-        is_sentinel = np.isin(values, SENTINELS) | (np.abs(values.astype(np.float64)) >= HUGE)
+        is_sentinel = np.isin(values, SENTINELS) | (np.abs(values.astype(np.float64)) >= MIN_SENTINEL)
         for value, count in zip(*np.unique(values[is_sentinel], return_counts=True), strict=True):
             self._sentinels[float(value)] += int(count)
         others_m = height_m[beyond][~is_sentinel]
@@ -79,43 +79,45 @@ class UnmarkedCells:
             self.low_m, self.high_m = min(self.low_m, float(others_m.min())), max(self.high_m, float(others_m.max()))
             self._value_beyond = float(values[~is_sentinel][0])
 
-    def _add_alike(self, value: float, stored: np.ndarray, height_m: np.ndarray, known: np.ndarray) -> None:
-        alike = known & (stored == value)
-        others_m = height_m[known & ~alike]
-        self._alike[value] += int(alike.sum())
+    def _add_alike(self, value: float, stored: np.ndarray, height_m: np.ndarray, has_height: np.ndarray) -> None:
+        alike = has_height & (stored == value)
+        others_m = height_m[has_height & ~alike]
+        self._cells_alike[value] += int(alike.sum())
         if others_m.size:
             own_m = float(height_m[alike][0])
-            near_m = max(NEAR_SHARE * abs(float(others_m.mean()) - own_m), LEAST_DISTANCE_M)
-            self._near[value] += int((np.abs(others_m - own_m) < near_m).sum())
+            near_m = max(NEAR_SHARE * abs(float(others_m.mean()) - own_m), MIN_NEAR_DISTANCE_M)
+            self._cells_near[value] += int((np.abs(others_m - own_m) < near_m).sum())
 
     @property
     def sentinels(self) -> dict[float, int]:
         """Undeclared values that appear to mean "no height", with the number of their cells."""
-        within = {value: n for value, n in self._alike.items() if self._near[value] < n < self.cells}
+        within = {value: n for value, n in self._cells_alike.items() if self._cells_near[value] < n < self.cells}
         return {**within, **self._sentinels}
 
-    def warnings(self, axis: VerticalAxis, but: float | None = None) -> tuple[str, ...]:
-        """Return the warnings, each with its remedy. ``but`` is a value that another warning covers."""
-        said = [self._of_sentinel(value, count) for value, count in sorted(self.sentinels.items()) if value != but]
+    def warnings(self, axis: VerticalAxis, except_value: float | None = None) -> tuple[str, ...]:
+        """Return the warnings, each with its remedy. ``except_value`` is a value that another warning covers."""
+        said = [self._sentinel_warning(value, count) for value, count in sorted(self.sentinels.items()) if value != except_value]
         if self.beyond:
             means = (
-                f"mean no data, {remedy('nodata', _shortest(self._value_beyond))}; if they " if self.low_m == self.high_m else ""
+                f"mean no data, {remedy('nodata', _shortest_text(self._value_beyond))}; if they "
+                if self.low_m == self.high_m
+                else ""
             )
             said.append(
                 f"{_share(self.beyond, self.cells)} of the raster's cells are no heights on earth and left out as holes: "
-                f"{self.range_beyond(axis)}. If they {means}are in another unit, {remedy('units', 'UNIT')}. UNIT is one of "
+                f"{self.implausible_range(axis)}. If they {means}are in another unit, {remedy('units', 'UNIT')}. UNIT is one of "
                 f"{', '.join(METRES_PER_UNIT)}"
             )
         return tuple(said)
 
-    def range_beyond(self, axis: VerticalAxis) -> str:
+    def implausible_range(self, axis: VerticalAxis) -> str:
         """Return the range of the implausible heights and how they were read, as a phrase."""
         ends = dict.fromkeys((f"{self.low_m:,.0f} m", f"{self.high_m:,.0f} m"))
         return f"{' to '.join(ends)}, read as {axis.statement}"
 
-    def _of_sentinel(self, value: float, count: int) -> str:
-        effect = "far from all other heights" if value in self._alike else "no height on earth, and left out as holes"
-        stated = _shortest(value)
+    def _sentinel_warning(self, value: float, count: int) -> str:
+        effect = "far from all other heights" if value in self._cells_alike else "no height on earth, and left out as holes"
+        stated = _shortest_text(value)
         what = f"{_share(count, self.cells)} of the raster's cells are {stated}, {effect}"
         return f"{what}. If that means no data, {remedy('nodata', stated)}"
 
@@ -124,9 +126,9 @@ def _share(count: int, cells: int) -> str:
     return f"{100 * count / max(cells, 1):.3g} %"
 
 
-def _shortest(value: float) -> str:
+def _shortest_text(value: float) -> str:
     """Return a cell's value with the fewest digits that identify it, such as 1e+38 for a float32."""
-    if abs(value) < HUGE and value.is_integer():
+    if abs(value) < MIN_SENTINEL and value.is_integer():
         return f"{value:.0f}"
     texts = (f"{value:.{digits}g}" for digits in range(1, 18))
     with np.errstate(over="ignore"):

@@ -12,7 +12,7 @@ import numpy as np
 
 from skugga.shadows.maps.sun_disc import WIDEST_TEXELS
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap
-from skugga.terrain.compiled import CORES, compiled, in_shares
+from skugga.terrain.compiled import CORES, compiled, run_in_chunks
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.tree_instances import tree_radius
 
@@ -20,32 +20,32 @@ RECEIVER_CELLS = 512
 """Cells of the mask along each side of a map."""
 
 
-def trees_that_matter(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> np.ndarray:
+def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> np.ndarray:
     """Return the indices of the trees that a map of the sun has to hold, the nearest to the sun first.
 
     ``soft`` is true if the map is looked up for the sun's disc.
     """
-    assert drawn.trees is not None and drawn.reach is not None
-    rotation, translation, low, high = drawn.reach
-    trees = drawn.trees
-    which = trees.reaching(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
-    if drawn.pixels is not None and drawn.is_uniform and len(which):
-        texel_m = np.array(drawn.uniforms["texel_m"])
+    assert depth_map.trees is not None and depth_map.reach is not None
+    rotation, translation, low, high = depth_map.reach
+    trees = depth_map.trees
+    which = trees.in_box(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
+    if depth_map.pixels is not None and depth_map.is_uniform and len(which):
+        texel_m = np.array(depth_map.uniforms["texel_m"])
         cells = np.maximum((high - low)[:2] / RECEIVER_CELLS, texel_m)
         farthest = np.full((CORES, RECEIVER_CELLS + 1, RECEIVER_CELLS + 1), -np.inf, np.float32)
-        parts = np.linspace(0, len(drawn.pixels), CORES + 1).astype(np.int64)
-        in_shares(
-            CORES, _farthest_receivers, parts, buffer.position_frame_m.reshape(-1, 3), drawn.pixels, rotation, translation, cells,
+        parts = np.linspace(0, len(depth_map.pixels), CORES + 1).astype(np.int64)
+        run_in_chunks(
+            CORES, _farthest_receivers, parts, buffer.position_frame_m.reshape(-1, 3), depth_map.pixels, rotation, translation, cells,
             farthest,
         )  # fmt: skip
         beside_m = (MAP_BORDER_TEXELS + (WIDEST_TEXELS if soft else 0)) * texel_m
-        matters = np.empty(len(which), np.bool_)
-        in_shares(
+        is_relevant = np.empty(len(which), np.bool_)
+        run_in_chunks(
             len(which), _shading, trees.base_frame_m, trees.shape, which, rotation, translation, cells, farthest.max(axis=0),
-            beside_m, matters,
+            beside_m, is_relevant,
         )  # fmt: skip
-        which = which[matters]
-    return trees.nearest_first(which, rotation[2])
+        which = which[is_relevant]
+    return trees.front_to_back(which, rotation[2])
 
 
 @compiled
@@ -81,12 +81,12 @@ def _shading(first, last, base, shape, which, rotation, translation, cells, fart
         high = min(int(np.floor((middle[1] + radius + beside_m[1]) / cells[1])), rows - 1)
         # Points may have been moved a few texels along the rays before their look-up.
         nearest = middle[2] - radius - beside_m[0] - beside_m[1]
-        matters = False
+        is_relevant = False
         for r in range(low, high + 1):
             for c in range(left, right + 1):
                 if farthest[r, c] >= nearest:
-                    matters = True
+                    is_relevant = True
                     break
-            if matters:
+            if is_relevant:
                 break
-        out[m] = matters
+        out[m] = is_relevant

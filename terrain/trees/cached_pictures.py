@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from skugga.terrain.user_cache import arrays_kept_in, user_cache
-from skugga.terrain.whole_files import replaced_whole
+from skugga.terrain.atomic_files import atomic_path
+from skugga.terrain.user_cache import load_arrays, user_cache
 
 VERSIONS = np.__version__, version("scipy"), version("numba")
 """Versions of the packages that the painter uses: others may round differently (part of the cache key)."""
 
 
-def kept_pictures(
+def cached_pictures(
     paint: Callable[[], tuple[np.ndarray, ...]], sources: tuple[Path, ...], folder: Path | None = None
 ) -> tuple[np.ndarray, ...]:
     """Return the arrays that ``paint`` returns, from the disk cache if possible.
@@ -30,13 +30,13 @@ def kept_pictures(
     for source in (*sources, Path(__file__)):
         digest.update(source.read_bytes())
     path = folder / f"{digest.hexdigest()}.npz"
-    kept = arrays_kept_in(path)
+    kept = load_arrays(path)
     if kept is not None:
         return tuple(kept[f"arr_{number}"] for number in range(len(kept)))
     painted = paint()
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
-        with replaced_whole(path) as part:
+        with atomic_path(path) as part:
             np.savez(part, *painted)
         for other in folder.glob("*.npz"):
             if other != path:

@@ -26,14 +26,14 @@ Larger than the buffers of the libraries whose errors it explains.
 """
 
 
-def write_whole(path: Path, content: bytes | str) -> None:
+def write_atomically(path: Path, content: bytes | str) -> None:
     """Write bytes, or text as UTF-8 with unchanged line ends, atomically. Raises ``OSError`` with the path."""
-    with replaced_whole(path) as part, part.open("wb") as file:
+    with atomic_path(path) as part, part.open("wb") as file:
         file.write(content.encode("utf-8") if isinstance(content, str) else content)
 
 
 @contextmanager
-def replaced_whole(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path whose file replaces ``path`` atomically when the block ends.
 
     The temporary file has the same name, in a folder of its own beside the target. When the block ends it is synced to the disk and
@@ -44,13 +44,13 @@ def replaced_whole(path: Path) -> Iterator[Path]:
     """
     target = path.resolve()
     # Named before it is created, so that an interrupt at any moment finds the folder to remove.
-    beside = f"{_beside(target)}{secrets.token_hex(4)}"
-    folder = target.parent / beside
+    temp_name = f"{_temp_prefix(target)}{secrets.token_hex(4)}"
+    folder = target.parent / temp_name
     try:
         mode = _writable_mode(target)
         special = mode is not None and not stat.S_ISREG(mode)
         if special:
-            folder = Path(tempfile.gettempdir()) / beside
+            folder = Path(tempfile.gettempdir()) / temp_name
         folder.mkdir(0o700)
         part = folder / target.name
         yield part
@@ -65,7 +65,7 @@ def replaced_whole(path: Path) -> Iterator[Path]:
         with suppress(OSError):  # the folder may be unreadable; the file is in place
             _sync(target.parent)
     except OSError as error:
-        if error.filename is not None and beside not in str(error.filename) and Path(str(error.filename)) != target:
+        if error.filename is not None and temp_name not in str(error.filename) and Path(str(error.filename)) != target:
             raise  # of another file
         number = error.errno or errno.EIO
         raise OSError(number, error.strerror or str(error) or os.strerror(number), str(path)) from error
@@ -74,7 +74,7 @@ def replaced_whole(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def replaced_together(folder: Path) -> Iterator[Path]:
+def atomic_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files replace those in ``folder`` together when the block ends.
 
     When the block ends the files are synced to the disk and moved, either all of them or none. ``folder`` is created if it does not
@@ -82,9 +82,9 @@ def replaced_together(folder: Path) -> Iterator[Path]:
     one.
     """
     target = folder.resolve()
-    beside = f"{_beside(target)}{secrets.token_hex(4)}"
+    temp_name = f"{_temp_prefix(target)}{secrets.token_hex(4)}"
     is_new = not target.is_dir()
-    part = (target.parent if is_new else target) / beside
+    part = (target.parent if is_new else target) / temp_name
     try:
         part.mkdir()
         yield part
@@ -97,7 +97,7 @@ def replaced_together(folder: Path) -> Iterator[Path]:
         with suppress(OSError):  # the folder may be unreadable; the files are in place
             _sync(target)
     except OSError as error:
-        if error.filename is not None and beside not in str(error.filename):
+        if error.filename is not None and temp_name not in str(error.filename):
             raise  # of another file
         number = error.errno or errno.EIO
         raise OSError(number, error.strerror or str(error) or os.strerror(number), str(folder)) from error
@@ -107,23 +107,23 @@ def replaced_together(folder: Path) -> Iterator[Path]:
 
 def _move_all(part: Path, target: Path) -> None:
     """Move all files of a folder into another one on the same disk, or none. Replaced files are backed up until all are moved."""
-    kept = part / ".before"
+    backup = part / ".before"
     moved: list[Path] = []
     names = sorted(path.name for path in part.iterdir())
     for name in names:
         if (target / name).is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target / name))
-    kept.mkdir()
+    backup.mkdir()
     try:
         for name in names:
             with suppress(FileNotFoundError):
-                os.replace(target / name, kept / name)
+                os.replace(target / name, backup / name)
             moved.append(target / name)
             os.replace(part / name, target / name)
     except BaseException:
         for path in moved:
             path.unlink(missing_ok=True)
-        for path in kept.iterdir():
+        for path in backup.iterdir():
             os.replace(path, target / path.name)
         raise
 
@@ -136,10 +136,10 @@ def _remove(folder: Path) -> None:
         raise
 
 
-def forget_halves(path: Path) -> None:
+def remove_partial_files(path: Path) -> None:
     """Delete the partial files that killed processes left while they wrote a file. No process may be writing it."""
     target = path.resolve()
-    for folder in target.parent.glob(f"{glob.escape(_beside(target))}????????"):
+    for folder in target.parent.glob(f"{glob.escape(_temp_prefix(target))}????????"):
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -148,7 +148,7 @@ def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
 
     Libraries report that a write failed, but not why.
     """
-    probe = path.parent / f"{_beside(path)}{secrets.token_hex(4)}"
+    probe = path.parent / f"{_temp_prefix(path)}{secrets.token_hex(4)}"
     try:
         with probe.open("wb") as file:
             file.write(bytes(size))
@@ -163,13 +163,15 @@ def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
     return None
 
 
-def write_error(path: Path, what: str, error: Exception) -> OSError:
-    """Return the error of a failed write of ``what`` to ``path``: the disk's own error, else the library's."""
-    refused = disk_error(path)
-    return refused or OSError(errno.EIO, f"{what} could not be written completely ({error.__cause__ or error})", str(path))
+def write_error(path: Path, content_name: str, error: Exception) -> OSError:
+    """Return the error of a failed write of ``content_name`` to ``path``: the disk's own error, else the library's."""
+    disk_failure = disk_error(path)
+    return disk_failure or OSError(
+        errno.EIO, f"{content_name} could not be written completely ({error.__cause__ or error})", str(path)
+    )
 
 
-def _beside(target: Path) -> str:
+def _temp_prefix(target: Path) -> str:
     """Return the prefix of the names of a file's temporary folders."""
     return f".{target.name[:_NAME_LENGTH]}."
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from morecantile import tms
 
-from skugga.shadows.coarse_pixels import _of_points, coarse_pixels, lit_nodes
 from skugga.shadows.passes import PassLog
 from skugga.shadows.render import render_frame
+from skugga.shadows.supersampling import _lit_points, lit_nodes, supersampling
 from skugga.terrain.describe import describe
-from skugga.terrain.gbuffer.covered_nodes import covered_nodes, halvings, largest_in_pixels, means_in_pixels, pieces_grid
+from skugga.terrain.gbuffer.supersampling import covered_nodes, largest_in_pixels, means_in_pixels, subdivision_level, subpixel_grid
 from skugga.terrain.geo.grid import Grid, MapView, tile_grid
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
@@ -73,7 +73,7 @@ def test_by_every_algorithm(ridges, algorithm):
 def test_its_own_point_says_otherwise(ridges):
     """What the rule is there for: on ground that is averaged over 8 cells nothing casts a shadow."""
     view = view_of(ridges, 8)
-    frame = render_frame(ridges, view, plan_of(ridges, view, algorithm="sweep"), pixels_show="points")
+    frame = render_frame(ridges, view, plan_of(ridges, view, algorithm="sweep"), pixel_sampling="points")
     assert (frame.visibility == 1.0).all()
 
 
@@ -81,8 +81,8 @@ def test_pixels_as_large_as_cells_or_finer_go_by_their_own_points(ridges):
     for pixels in (64, 128, 50):
         view = view_of(ridges, pixels)
         plan = plan_of(ridges, view, algorithm="sweep")
-        assert halvings(ridges, view) == 0 and coarse_pixels(ridges, view, plan) is None
-        shown, own = (render_frame(ridges, view, plan, pixels_show=show).visibility for show in ("means", "points"))
+        assert subdivision_level(ridges, view) == 0 and supersampling(ridges, view, plan) is None
+        shown, own = (render_frame(ridges, view, plan, pixel_sampling=show).visibility for show in ("means", "points"))
         np.testing.assert_array_equal(shown, own)
         assert set(np.unique(shown)) == {0.0, 1.0}
 
@@ -92,22 +92,22 @@ def test_a_level_resolution_counts_as_the_size_of_cells(ridges, tmp_path):
     level["terrain"]["resolution"] = 4
     (tmp_path / "rough.yaml").write_text(json.dumps(level), encoding="utf-8")
     rough = build_scene(load_level(tmp_path / "rough.yaml"))
-    assert [halvings(ridges, view_of(ridges, pixels)) for pixels in (64, 32, 16, 8)] == [0, 1, 2, 3]
-    assert [halvings(rough, view_of(rough, pixels)) for pixels in (64, 32, 16, 8)] == [0, 0, 0, 1]
+    assert [subdivision_level(ridges, view_of(ridges, pixels)) for pixels in (64, 32, 16, 8)] == [0, 1, 2, 3]
+    assert [subdivision_level(rough, view_of(rough, pixels)) for pixels in (64, 32, 16, 8)] == [0, 0, 0, 1]
 
 
 def test_the_descriptor_is_that_of_the_finer_map(ridges):
     coarse, fine, own = describe(ridges, view_of(ridges, 8)), describe(ridges, view_of(ridges, 64)), view_of(ridges, 8)
-    assert (coarse.pieces, fine.pieces, describe(ridges, own, pixels_show="points").pieces) == (8, 1, 1)
-    assert coarse.pixel_m == fine.pixel_m == 1.0 and describe(ridges, own, pixels_show="points").pixel_m == 8.0
+    assert (coarse.pieces, fine.pieces, describe(ridges, own, pixel_sampling="points").pieces) == (8, 1, 1)
+    assert coarse.pixel_m == fine.pixel_m == 1.0 and describe(ridges, own, pixel_sampling="points").pixel_m == 8.0
     assert coarse.pixels == fine.pixels == SIDE**2
     assert coarse.facts["cast_shadows"] == fine.facts["cast_shadows"]
-    assert any(reason.name == "coarse pixels" and "8 x 8" in reason.reason for reason in plan_of(ridges, own).reasons)
+    assert any(reason.name == "supersampling" and "8 x 8" in reason.reason for reason in plan_of(ridges, own).reasons)
 
 
 def test_the_pieces_of_a_tile_are_the_pixels_of_finer_tiles(jacksboro):
     view = block_at(-84.25, 36.6, 9)
-    nodes = covered_nodes(view, pieces_grid(view, halvings(jacksboro, view)))
+    nodes = covered_nodes(view, subpixel_grid(view, subdivision_level(jacksboro, view)))
     grid = tile_grid(MERCATOR, 11)
     assert nodes.rows == 4096 and (nodes.row0, nodes.col0) == (4 * view.row0, 4 * view.col0)
     assert abs(nodes.grid.x0 - grid.x0) < 1e-6 and abs(nodes.grid.y0 - grid.y0) < 1e-6
@@ -155,10 +155,10 @@ def around_middle(scene, zoom: int) -> MapView:
 
 def test_heights_alone_say_what_a_geometry_buffer_says(jacksboro):
     view = around_middle(jacksboro, 9)
-    pixels = coarse_pixels(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
-    assert pixels is not None and pixels.bare
+    pixels = supersampling(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
+    assert pixels is not None and pixels.heights_only
     nodes = pixels.nodes(view)
-    (shown, lean), (there, full) = lit_nodes(pixels, nodes, True, PassLog()), _of_points(pixels, nodes, True, PassLog())
+    (shown, lean), (there, full) = lit_nodes(pixels, nodes, True, PassLog()), _lit_points(pixels, nodes, True, PassLog())
     np.testing.assert_array_equal(shown, there)
     assert ((full["sun"] > 0.5) != lean["sun"])[there].mean() < 2e-3  # a pixel's lines are spread over its nodes
 

@@ -39,34 +39,34 @@ from skugga.terrain.ground.grid_key import grid_key
 from skugga.terrain.ground.surface import RefinedWindow, Surface, refined_row
 from skugga.terrain.scene import Scene
 
-DISC_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
+SUN_RADIUS_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
 """Sine of the sun's angular radius."""
 
-FACING = DISC_SINE + 1.1e-3
+MIN_FACING_SINE = SUN_RADIUS_SINE + 1.1e-3
 """Minimum sine of the angle between a facet and the sun's centre. It covers the disc, the error of float32 normals, and the
 change of the lengths of a quad's sides with its height.
 """
 
-ROUNDED_M = 4e-3
+MAX_ROUNDING_M = 4e-3
 """Maximum rounding error of the two ends of a quad's side together, metres: positions are float32 within 20 km of a frame's origin.
 """
 
-BESIDE_NODES = 4
+MARGIN_NODES = 4
 """Margin in nodes within which ground beside a ray counts as on it: a sweep's lines and points lie between nodes."""
 
-LEANING = 0.05
+ALTITUDE_SINE_MARGIN = 0.05
 """Maximum increase of the sine of the sun's altitude within a level, 300 km away from its anchor."""
 
-NODES_BEYOND = 1
+HALO_NODES = 1
 """Nodes beside a patch whose heights must be known, too."""
 
-SIDES_AT = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
+SAMPLE_POSITIONS = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
 """Positions in a patch at which the sides of its quads are computed, as shares of its rows and columns."""
 
 PARTS = 4
 """Parts along the side of a patch."""
 
-LONGEST_RUN = 16
+MAX_RUN_PATCHES = 16
 """Maximum number of patches in a row that are read at once."""
 
 RISE_DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
@@ -83,21 +83,21 @@ class PatchGround:
         (n, m), the lowest and highest node, NaN without ground, metres.
     rise_m
         (n, m, 8), the maximum rise from node to node of the facets, projected on ``RISE_DIRECTIONS``, metres.
-    whole
+    is_complete
         bool (n, m), whether all heights of the part and beside it are known.
     """
 
     low_m: np.ndarray
     high_m: np.ndarray
     rise_m: np.ndarray
-    whole: np.ndarray
+    is_complete: np.ndarray
 
-    def only(self, which: np.ndarray) -> PatchGround:
+    def restricted_to(self, which: np.ndarray) -> PatchGround:
         """Return a copy that has ground only in the parts that ``which`` (n, m) selects."""
         return replace(self, low_m=np.where(which, self.low_m, np.nan), high_m=np.where(which, self.high_m, np.nan))
 
 
-def idle_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...]) -> frozenset[Patch]:
+def culled_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...]) -> frozenset[Patch]:
     """Return the patches beside a map's block that cast no shadow of the sun on it.
 
     Returns none of them for columns, which have walls, and for levels with lamps.
@@ -105,27 +105,29 @@ def idle_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...])
     if not patches or receivers.surface is None or scene.lamps:
         return frozenset()
     grid, own = _grid_of(receivers), own_patches(receivers)
-    own_ground = patch_ground(scene.world, scene.elevation, grid, own).only(own_parts(receivers))
-    lit, lit_parts = (_in_light(scene, grid, own, own_ground, parts, "lowest") for parts in (1, PARTS))
-    beside_m = BESIDE_NODES * scene.surface(grid).step_m
+    own_ground = patch_ground(scene.world, scene.elevation, grid, own).restricted_to(own_parts(receivers))
+    lit, lit_parts = (_light_space_bounds(scene, grid, own, own_ground, parts, "lowest") for parts in (1, PARTS))
+    beside_m = MARGIN_NODES * scene.surface(grid).step_m
     assert scene.light is not None
-    foreshortened = min(float(np.sin(np.radians(max(scene.light.altitude_deg, 0.0)))) + LEANING, 1.0)
-    slack = beside_m, beside_m * foreshortened
-    idle: set[Patch] = set()
+    max_altitude_sine = min(float(np.sin(np.radians(max(scene.light.altitude_deg, 0.0)))) + ALTITUDE_SINE_MARGIN, 1.0)
+    slack = beside_m, beside_m * max_altitude_sine
+    culled: set[Patch] = set()
     for level in {patch.level for patch in patches}:
-        here = [patch for patch in patches if patch.level == level]
+        level_patches = [patch for patch in patches if patch.level == level]
         coarser = grid.coarser(level)
-        ground = patch_ground(scene.world, scene.elevation, coarser, here)
+        ground = patch_ground(scene.world, scene.elevation, coarser, level_patches)
         casts = np.isfinite(ground.low_m)
         if level == 0:
-            casts &= ~(facing_sun(scene, grid, here, ground) & ground.whole)
-        some = casts.any(axis=1)
-        some[some] = _may_hide(_in_light(scene, coarser, here, ground, 1, "highest")[some], lit, *slack)
-        parts = _in_light(scene, coarser, here, ground, PARTS, "highest").reshape(*casts.shape, -1)
-        casts &= some[:, None]
-        casts[casts] = _may_hide(parts[casts], lit_parts, *slack)
-        idle |= {patch for patch, each in zip(here, casts.any(axis=1), strict=True) if not each}
-    return frozenset(idle)
+            casts &= ~(sun_facing_parts(scene, grid, level_patches, ground) & ground.is_complete)
+        may_shade = casts.any(axis=1)
+        may_shade[may_shade] = _may_occlude(
+            _light_space_bounds(scene, coarser, level_patches, ground, 1, "highest")[may_shade], lit, *slack
+        )
+        parts = _light_space_bounds(scene, coarser, level_patches, ground, PARTS, "highest").reshape(*casts.shape, -1)
+        casts &= may_shade[:, None]
+        casts[casts] = _may_occlude(parts[casts], lit_parts, *slack)
+        culled |= {patch for patch, each in zip(level_patches, casts.any(axis=1), strict=True) if not each}
+    return frozenset(culled)
 
 
 def own_ground_is_clear(scene: Scene, receivers: Receivers) -> bool:
@@ -133,7 +135,7 @@ def own_ground_is_clear(scene: Scene, receivers: Receivers) -> bool:
     if not own_ground_faces_sun(scene, receivers):
         return False
     ground = patch_ground(scene.world, scene.elevation, _grid_of(receivers), own_patches(receivers))
-    return bool(ground.whole[own_parts(receivers)].all())
+    return bool(ground.is_complete[own_parts(receivers)].all())
 
 
 def own_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
@@ -144,7 +146,7 @@ def own_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
     if receivers.surface is None:
         return False
     grid, own = _grid_of(receivers), own_patches(receivers)
-    facing = facing_sun(scene, grid, own, patch_ground(scene.world, scene.elevation, grid, own))
+    facing = sun_facing_parts(scene, grid, own, patch_ground(scene.world, scene.elevation, grid, own))
     return bool(facing[own_parts(receivers)].all())
 
 
@@ -183,22 +185,24 @@ def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequen
             for col, parts in zip(run, _read_patches(surface, row, run), strict=True):
                 found[row, col] = parts
                 _known_patches.put(owner, row, col, value=parts)
-    known = np.array([found[patch.row, patch.col] for patch in patches])
-    return PatchGround(known[..., 0], known[..., 1], known[..., 3:], known[..., 2] > 0.0)
+    parts_of_patches = np.array([found[patch.row, patch.col] for patch in patches])
+    return PatchGround(
+        parts_of_patches[..., 0], parts_of_patches[..., 1], parts_of_patches[..., 3:], parts_of_patches[..., 2] > 0.0
+    )
 
 
 def _runs(numbers: list[int]) -> list[range]:
-    """Return the runs of consecutive numbers, from sorted, distinct ones; none longer than ``LONGEST_RUN``."""
+    """Return the runs of consecutive numbers, from sorted, distinct ones; none longer than ``MAX_RUN_PATCHES``."""
     runs: list[range] = []
     for number in numbers:
-        if runs and runs[-1].stop == number and len(runs[-1]) < LONGEST_RUN:
+        if runs and runs[-1].stop == number and len(runs[-1]) < MAX_RUN_PATCHES:
             runs[-1] = range(runs[-1].start, number + 1)
         else:
             runs.append(range(number, number + 1))
     return runs
 
 
-def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround) -> np.ndarray:
+def sun_facing_parts(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround) -> np.ndarray:
     """Return in which parts (n, m) of patches of one grid every facet faces all of the sun's disc, bool.
 
     A facet that rises by a from column to column and by b from row to row spans e + a u and f + b u. Here e and f are a quad's
@@ -209,7 +213,7 @@ def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: Patch
     assert scene.light is not None
     to_sun = -scene.light.light_from_earth[2]
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64)
-    row, col = (corner[:, k, None] * PATCH_QUADS + np.array(at) * PATCH_QUADS for k, at in enumerate(SIDES_AT))
+    row, col = (corner[:, k, None] * PATCH_QUADS + np.array(at) * PATCH_QUADS for k, at in enumerate(SAMPLE_POSITIONS))
     _, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
     ends = [(row, col + 0.5), (row, col - 0.5), (row + 0.5, col), (row - 0.5, col)]
     points = [scene.world.ground(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
@@ -219,13 +223,13 @@ def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: Patch
     )  # fmt: skip
     wide, tall = (np.linalg.norm(side, axis=-1)[:, None] for side in (right, down))
     rise_m = ground.rise_m[:, :, None]
-    steep_right, steep_down = (rise_m[..., k : k + 2].max(axis=-1) + ROUNDED_M for k in (0, 2))
-    least = level - _farthest(rise_m, -per_right, -per_down) - ROUNDED_M * (wide + tall)
+    steep_right, steep_down = (rise_m[..., k : k + 2].max(axis=-1) + MAX_ROUNDING_M for k in (0, 2))
+    least = level - _support_bound(rise_m, -per_right, -per_down) - MAX_ROUNDING_M * (wide + tall)
     normal = wide * tall + steep_right * tall + steep_down * wide
-    return np.asarray((least > FACING * normal).all(axis=2))
+    return np.asarray((least > MIN_FACING_SINE * normal).all(axis=2))
 
 
-def _farthest(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -> np.ndarray:
+def _support_bound(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -> np.ndarray:
     """Return an upper bound of ``per_right`` a + ``per_down`` b over rises (a, b) within their supports (..., 8).
 
     It combines the supports in the two directions nearest to (``per_right``, ``per_down``).
@@ -242,7 +246,7 @@ def _farthest(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -
     return np.asarray(np.abs(across - along) * on_axis + np.minimum(across, along) * on_diagonal)
 
 
-def _in_light(
+def _light_space_bounds(
     scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround, parts: int, ground_at: Literal["lowest", "highest"]
 ) -> np.ndarray:
     """Return the light-space bounds of ``parts`` x ``parts`` parts of patches, float64 (n, 8), NaN without ground.
@@ -258,7 +262,7 @@ def _in_light(
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64) * PATCH_QUADS
     at = np.arange(parts + 1) * (PATCH_QUADS / parts)
     row, col = np.broadcast_arrays(corner[:, :1, None] + at[:, None], corner[:, 1:, None] + at)
-    point, up = (_of_parts(each, parts) for each in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
+    point, up = (_part_corners(each, parts) for each in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
     ends = np.stack([point + height_m[..., None, None] * up for height_m in (low_m, high_m)])
     in_light = scene.light.from_earth(ends)
     in_light = np.concatenate([in_light, scene.light.towards_sun_m(in_light)[..., None]], axis=-1)
@@ -270,37 +274,37 @@ def _in_light(
     return np.concatenate([low, high], axis=-1).reshape(-1, 8)
 
 
-def _of_parts(corners: np.ndarray, parts: int) -> np.ndarray:
+def _part_corners(corners: np.ndarray, parts: int) -> np.ndarray:
     """Return the four corners (n, m, 4, 3) of each part of a patch, from the corners of all parts (n, parts + 1, parts + 1, 3)."""
     four = [corners[:, i : i + parts, j : j + parts] for i in (0, 1) for j in (0, 1)]
     return np.stack(four, axis=3).reshape(len(corners), parts * parts, 4, 3)
 
 
 @compiled
-def _may_hide(out, lit, beside_m, above_m):
-    """Return which parts ``out`` (n, 8) may occlude some of the parts ``lit`` (m, 8), as seen from any point of the sun's disc.
+def _may_occlude(bounds, lit, beside_m, above_m):
+    """Return which parts ``bounds`` (n, 8) may occlude some of the parts ``lit`` (m, 8), as seen from any point of the sun's disc.
 
     A part may occlude another if it lies towards the sun and is not wholly lower by more than ``above_m``. ``beside_m`` is a
     margin to the sides.
     """
-    found = np.empty(len(out), np.bool_)
-    for n in range(len(out)):
-        found[n] = False
+    may_occlude = np.empty(len(bounds), np.bool_)
+    for n in range(len(bounds)):
+        may_occlude[n] = False
         for m in range(len(lit)):
             if np.isnan(lit[m, 0]):
                 continue
-            away_m = lit[m, 6] - out[n, 2]
-            if away_m + beside_m < 0.0:
+            distance_m = lit[m, 6] - bounds[n, 2]
+            if distance_m + beside_m < 0.0:
                 continue
-            disc_m = 1.1 * DISC_SINE * max(away_m, 0.0)
+            disc_m = 1.1 * SUN_RADIUS_SINE * max(distance_m, 0.0)
             slack_m = beside_m + disc_m
             if (
-                out[n, 4] + slack_m >= lit[m, 0] and out[n, 0] - slack_m <= lit[m, 4]
-                and out[n, 5] + above_m + disc_m >= lit[m, 1] and out[n, 7] + slack_m >= lit[m, 3]
+                bounds[n, 4] + slack_m >= lit[m, 0] and bounds[n, 0] - slack_m <= lit[m, 4]
+                and bounds[n, 5] + above_m + disc_m >= lit[m, 1] and bounds[n, 7] + slack_m >= lit[m, 3]
             ):  # fmt: skip
-                found[n] = True
+                may_occlude[n] = True
                 break
-    return found
+    return may_occlude
 
 
 def _grid_of(receivers: Receivers) -> Grid:
@@ -309,37 +313,37 @@ def _grid_of(receivers: Receivers) -> Grid:
 
 
 _known_patches: Cache[np.ndarray] = Cache(
-    "skugga.terrain.casters.horizon_bound", "scene", 32 * MIB, lambda known: known.nbytes + 512
+    "skugga.terrain.casters.caster_culling", "scene", 32 * MIB, lambda known: known.nbytes + 512
 )
 
 
 def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
-    """Return ``low_m``, ``high_m``, ``whole`` and ``rise_m`` of the parts of consecutive patches, float64 (n, m, 11)."""
-    more = NODES_BEYOND
+    """Return ``low_m``, ``high_m``, ``is_complete`` and ``rise_m`` of the parts of consecutive patches, float64 (n, m, 11)."""
+    halo = HALO_NODES
     window = surface.height_window(
-        row * PATCH_QUADS - more,
-        cols.start * PATCH_QUADS - more,
-        PATCH_QUADS + 1 + 2 * more,
-        len(cols) * PATCH_QUADS + 1 + 2 * more,
+        row * PATCH_QUADS - halo,
+        cols.start * PATCH_QUADS - halo,
+        PATCH_QUADS + 1 + 2 * halo,
+        len(cols) * PATCH_QUADS + 1 + 2 * halo,
     )
     out = np.empty((len(cols), PARTS * PARTS, 3 + len(RISE_DIRECTIONS)))
     refined = isinstance(window, RefinedWindow)
     height_m = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
-    _parts_of(height_m, refined, window.row0 % 2, window.col0 % 2, more, PATCH_QUADS // PARTS, out)
+    _fill_parts(height_m, refined, window.row0 % 2, window.col0 % 2, halo, PATCH_QUADS // PARTS, out)
     return out
 
 
 @compiled
-def _parts_of(height_m, refined, row0, col0, more, quads, out):
+def _fill_parts(height_m, refined, row0, col0, halo, quads, out):
     """Fill the rows of ``_read_patches`` for all parts of consecutive patches.
 
-    ``height_m`` holds the heights of their nodes with ``more`` nodes on each side. If ``refined``, it holds those of the coarser
+    ``height_m`` holds the heights of their nodes with ``halo`` nodes on each side. If ``refined``, it holds those of the coarser
     grid that their grid refines, from (``row0``, ``col0``) on (``refined_row``).
     """
     cols = len(out) * PARTS * quads + 1
     reach, bounds = np.empty((len(RISE_DIRECTIONS), cols), np.float32), np.empty((2, cols), np.float32)
-    missing = np.empty(cols + 2 * more, np.int32)
-    band = np.empty((quads + 1 + 2 * more, cols + 2 * more), np.float32)
+    missing = np.empty(cols + 2 * halo, np.int32)
+    band = np.empty((quads + 1 + 2 * halo, cols + 2 * halo), np.float32)
     for down in range(PARTS):
         missing[:] = 0
         for i in range(len(band)):
@@ -350,11 +354,11 @@ def _parts_of(height_m, refined, row0, col0, more, quads, out):
                 for j in range(band.shape[1]):
                     band[i, j] = height_m[row, j]
             _count_missing(band[i], missing)
-        nodes = band[more : more + quads + 1]
+        nodes = band[halo : halo + quads + 1]
         bounds[0], bounds[1] = np.inf, -np.inf
         for i in range(quads + 1):
-            widen(nodes[i, more : more + cols], bounds[0], bounds[1])
-        _gather_rises(nodes, more, reach)
+            widen(nodes[i, halo : halo + cols], bounds[0], bounds[1])
+        _gather_rises(nodes, halo, reach)
         for number in range(cols // quads):
             left = number * quads
             part = out[number // PARTS, down * PARTS + number % PARTS]
@@ -363,11 +367,11 @@ def _parts_of(height_m, refined, row0, col0, more, quads, out):
                 low = bounds[0, j] if bounds[0, j] < low else low
                 high = bounds[1, j] if bounds[1, j] > high else high
             part[0], part[1] = (low, high) if low <= high else (np.nan, np.nan)
-            whole = True
-            for j in range(left, left + quads + 1 + 2 * more):
-                whole = whole and missing[j] == 0
-            part[2] = whole
-            _farthest_rises(reach[:, left : left + quads + 1], part[3:])
+            is_complete = True
+            for j in range(left, left + quads + 1 + 2 * halo):
+                is_complete = is_complete and missing[j] == 0
+            part[2] = is_complete
+            _write_rise_support(reach[:, left : left + quads + 1], part[3:])
 
 
 def rises(height_m: np.ndarray) -> np.ndarray:
@@ -378,7 +382,7 @@ def rises(height_m: np.ndarray) -> np.ndarray:
     """
     reach, out = np.empty((len(RISE_DIRECTIONS), height_m.shape[1]), np.float32), np.empty(len(RISE_DIRECTIONS))
     _gather_rises(np.ascontiguousarray(height_m, np.float32), 0, reach)
-    _farthest_rises(reach, out)
+    _write_rise_support(reach, out)
     return out
 
 
@@ -386,10 +390,10 @@ def rises(height_m: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _gather_rises(height_m, more, reach):
+def _gather_rises(height_m, halo, reach):
     """Write the maximum and minimum rises of a sheet's facets for each column, float32 (8, cols).
 
-    The rows are rises along rows, rises along columns, their sums and their differences. ``more`` columns on each side of the
+    The rows are rises along rows, rises along columns, their sums and their differences. ``halo`` columns on each side of the
     sheet are skipped. Sums are float32, as heights are: rounding keeps the order, so the largest rounded sum is the rounded
     largest sum.
     """
@@ -400,23 +404,23 @@ def _gather_rises(height_m, more, reach):
     for k in range(0, len(reach), 2):
         reach[k], reach[k + 1] = -np.inf, np.inf
     for i in range(rows):
-        here = height_m[i, more : more + cols]
+        here = height_m[i, halo : halo + cols]
         _differences(here[1:], here[:-1], next_right)
         widen(next_right, reach[1, : cols - 1], reach[0, : cols - 1])
         if i > 0:
-            _differences(here, height_m[i - 1, more : more + cols], down)
+            _differences(here, height_m[i - 1, halo : halo + cols], down)
             widen(down, reach[3], reach[2])
-            _larger(right, next_right, most_right)
-            _smaller(right, next_right, least_right)
-            _larger(down[:-1], down[1:], most_down)
-            _smaller(down[:-1], down[1:], least_down)
+            _fmax(right, next_right, most_right)
+            _fmin(right, next_right, least_right)
+            _fmax(down[:-1], down[1:], most_down)
+            _fmin(down[:-1], down[1:], least_down)
             _widen_by_sums(most_right, most_down, least_right, least_down, reach[5, : cols - 1], reach[4, : cols - 1])
             _widen_by_differences(most_right, most_down, least_right, least_down, reach[7, : cols - 1], reach[6, : cols - 1])
         right, next_right = next_right, right
 
 
 @compiled
-def _farthest_rises(reach, out):
+def _write_rise_support(reach, out):
     """Write the support in ``RISE_DIRECTIONS`` of the rises (8, cols) of a sheet's columns of nodes; 0 without facets.
 
     No facet lies beyond the last column. Only rises along columns count there.
@@ -443,13 +447,13 @@ def _differences(a, b, out):
 
 
 @internal
-def _larger(a, b, out):
+def _fmax(a, b, out):
     for j in range(out.size):
         out[j] = a[j] if (a[j] > b[j]) | np.isnan(b[j]) else b[j]
 
 
 @internal
-def _smaller(a, b, out):
+def _fmin(a, b, out):
     for j in range(out.size):
         out[j] = a[j] if (a[j] < b[j]) | np.isnan(b[j]) else b[j]
 

@@ -12,7 +12,7 @@ from skugga.terrain.level.level import LevelShadows, Pin, Shadows, override
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class ShadowRequest:
     """The shadow settings of one view under one sun.
 
     For each key, the request's ``overrides`` take precedence over the level's first pin that applies, and the pin over the level's
@@ -35,35 +35,37 @@ class Asked:
     pin: Pin | None = None
     pin_number: int | None = None
 
-    def who(self, key: str) -> str:
+    def requester(self, key: str) -> str:
         """Return the source of a setting as the subject of a sentence."""
         if key in self.overrides:
             return "the request"
-        return "the level" if not self._is_pinned(key) else f"the level's pin for {self._where}"
+        return "the level" if not self._is_pinned(key) else f"the level's pin for {self._pin_scope}"
 
-    def because(self, key: str) -> str:
+    def reason_for(self, key: str) -> str:
         """Return the reason for a setting that the request or the level sets."""
-        return f"pinned by the level for {self._where}" if self._is_pinned(key) else f"set by {self.who(key)}"
+        return f"pinned by the level for {self._pin_scope}" if self._is_pinned(key) else f"set by {self.requester(key)}"
 
-    def named(self, key: str) -> str:
+    def key_path(self, key: str) -> str:
         """Return the name of a setting where it is set: a parameter, or a key of the level file."""
         if key in self.overrides:
             return key
         return f"shadows.pins.{self.pin_number}.{key}" if self._is_pinned(key) else f"shadows.{key}"
 
     @property
-    def _where(self) -> str:
+    def _pin_scope(self) -> str:
         return "" if self.pin is None else self.pin.where
 
     def _is_pinned(self, key: str) -> bool:
         return key not in self.overrides and self.pin is not None and key in self.pin.settings
 
 
-def asked_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: Mapping[str, Any] | None = None) -> Asked:
+def resolve_shadow_request(
+    descriptor: Descriptor, plan_request: PlanRequest, overrides: Mapping[str, Any] | None = None
+) -> ShadowRequest:
     """Return the shadow settings for a descriptor's view under its sun. Raises ``InputError`` for a wrong override."""
-    given = {key: value for key, value in (overrides or {}).items() if value is not None}
+    request_overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
     own = plan_request.shadows
-    number = own.pin_for(descriptor.view, descriptor.sun_altitude_deg)
+    number = own.pin_number(descriptor.view, descriptor.sun_altitude_deg)
     pin = own.pins[number] if isinstance(own, LevelShadows) and number is not None else None
     pinned = {} if pin is None else pin.settings
-    return Asked(override(own, {**pinned, **given}), given, pin, number)
+    return ShadowRequest(override(own, {**pinned, **request_overrides}), request_overrides, pin, number)

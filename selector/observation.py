@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict, Field
 
 
-class Seen(BaseModel):
+class Observation(BaseModel):
     """Observation of a drawn choice.
 
     ``choice`` is its name, ``error`` the error that targets limit, ``interior`` the interior error, and ``ms`` the time. The noises

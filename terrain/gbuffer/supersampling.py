@@ -23,7 +23,7 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
-PixelsShow = Literal["means", "points"]
+PixelSampling = Literal["means", "points"]
 """The content of a map's pixels: means of the nodes that they cover, or their own points, by which accuracy is measured."""
 
 MOST_BARE_NODES = 16 * BLOCK_PX**2
@@ -31,15 +31,15 @@ MOST_BARE_NODES = 16 * BLOCK_PX**2
 is full of ground, more where the level is smaller.
 """
 
-MOST_POINTS = 4 * BLOCK_PX**2
+MAX_NODES = 4 * BLOCK_PX**2
 """Maximum nodes in a block where objects stand on the ground, where there are lamps, and where a block of sub-pixels is wider than
-``WIDE_M``.
+``MAX_PARALLEL_RAYS_M``.
 """
 
-WIDE_M = 150e3
+MAX_PARALLEL_RAYS_M = 150e3
 """Width of a block above which shadow maps serve it: the sun's rays bend across wider ones."""
 
-ON_SIDE = 1e-6
+SIDE_TOLERANCE = 1e-6
 """Tolerance, in nodes, within which a pixel's side coincides with the side of a node's square."""
 
 
@@ -55,7 +55,7 @@ def ground_pixels(scene: Scene, view: MapView) -> float:
     return min(BLOCK_PX**2, scene.elevation.rows * scene.elevation.cols * (cell_m / map_pixel_m(scene.world, view)) ** 2)
 
 
-def halvings(scene: Scene, view: MapView) -> int:
+def subdivision_level(scene: Scene, view: MapView) -> int:
     """Return how many times a map's pixels are halved until their sides are nearest to the data's resolution.
 
     The result is smaller where a block would have too many nodes.
@@ -64,14 +64,14 @@ def halvings(scene: Scene, view: MapView) -> int:
     block = ground_pixels(scene, view)
     count = max(int(np.rint(np.log2(pixel_m / max(cell_m, scene.elevation.resolution_m or 0.0)))), 0)
     while count > 0:
-        narrow = scene.world.flat or BLOCK_PX * pixel_m / 2**count <= WIDE_M
-        if 4.0**count * block <= (MOST_BARE_NODES if narrow and is_bare(scene) else MOST_POINTS):
+        narrow = scene.world.flat or BLOCK_PX * pixel_m / 2**count <= MAX_PARALLEL_RAYS_M
+        if 4.0**count * block <= (MOST_BARE_NODES if narrow and is_bare(scene) else MAX_NODES):
             break
         count -= 1
     return count
 
 
-def pieces_grid(view: MapView, count: int) -> Grid:
+def subpixel_grid(view: MapView, count: int) -> Grid:
     """Return the grid whose nodes are the centres of a map's sub-pixels after halving pixels ``count`` times."""
     own = np.log2(np.sqrt(view.row_step * view.col_step))  # a view's pixels may be larger than its grid's step
     return view.grid.subdivided(max(int(np.rint(count - own)), 0))
@@ -81,16 +81,18 @@ def covered_nodes(view: MapView, grid: Grid) -> MapView:
     """Return the nodes of a finer grid that a map's pixels cover, as pixels of a view."""
     ends = []
     for sides in _sides(view, grid):
-        first, last = int(np.floor(sides[0] + ON_SIDE)), int(np.ceil(sides[-1] - ON_SIDE))
+        first, last = int(np.floor(sides[0] + SIDE_TOLERANCE)), int(np.ceil(sides[-1] - SIDE_TOLERANCE))
         ends.append((first, last - first))
     (row0, rows), (col0, cols) = ends
     return MapView(grid, float(row0), float(col0), 1.0, 1.0, rows, cols)
 
 
-def drawn_view(scene: Scene, view: MapView | PerspectiveView, pixels_show: PixelsShow = "means") -> MapView | PerspectiveView:
+def supersampled_view(
+    scene: Scene, view: MapView | PerspectiveView, pixel_sampling: PixelSampling = "means"
+) -> MapView | PerspectiveView:
     """Return the view whose visibility is computed for a view: for a coarse map the nodes that it covers, else the view itself."""
-    count = halvings(scene, view) if isinstance(view, MapView) and pixels_show == "means" else 0
-    return covered_nodes(view, pieces_grid(view, count)) if isinstance(view, MapView) and count else view
+    count = subdivision_level(scene, view) if isinstance(view, MapView) and pixel_sampling == "means" else 0
+    return covered_nodes(view, subpixel_grid(view, count)) if isinstance(view, MapView) and count else view
 
 
 def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
@@ -111,18 +113,18 @@ def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, there: np.ndarray) -> np.ndarray:
     """Return means (rows, cols) float32 of values at the valid nodes that each pixel covers; NaN without valid nodes."""
     row, col = _sides_in(view, nodes)
-    if values.dtype == np.bool_ and (down := _even(row)) and (right := _even(col)):
-        return _shares(values, there, *down, *right, view.rows, view.cols)
+    if values.dtype == np.bool_ and (down := _uniform_weights(row)) and (right := _uniform_weights(col)):
+        return _means_of_bool(values, there, *down, *right, view.rows, view.cols)
     return _means(values, there, row, col)
 
 
-def _even(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
+def _uniform_weights(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
     """Return the squares from pixel to pixel, and twice the share of each square that the first pixel covers, from square 0 on.
 
     ``None`` unless the sides of all pixels cut squares alike.
     """
     step = int(np.rint(sides[1] - sides[0]))
-    if np.abs(np.diff(sides) - step).max() > ON_SIDE or abs(sides[0] * 2.0 - np.rint(sides[0] * 2.0)) > ON_SIDE:
+    if np.abs(np.diff(sides) - step).max() > SIDE_TOLERANCE or abs(sides[0] * 2.0 - np.rint(sides[0] * 2.0)) > SIDE_TOLERANCE:
         return None
     first, halves = int(np.rint(sides[0] * 2.0)), np.arange(int(np.rint(sides[1] * 2.0)))
     return step, np.bincount(halves[first:] // 2).astype(np.int64)
@@ -141,14 +143,14 @@ def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
 @internal
 def _squares(sides, i):
     """Return the first square between two sides, and the exclusive end."""
-    return int(np.floor(sides[i] + ON_SIDE)), int(np.ceil(sides[i + 1] - ON_SIDE))
+    return int(np.floor(sides[i] + SIDE_TOLERANCE)), int(np.ceil(sides[i + 1] - SIDE_TOLERANCE))
 
 
 @internal
-def _share(sides, i, n):
+def _overlap(sides, i, n):
     """Return the share of square ``n`` between two sides; exactly 1 where it lies between them up to rounding."""
     share = min(sides[i + 1], n + 1.0) - max(sides[i], np.float64(n))
-    return 1.0 if share > 1.0 - ON_SIDE else share
+    return 1.0 if share > 1.0 - SIDE_TOLERANCE else share
 
 
 @compiled
@@ -159,22 +161,22 @@ def _means(values, there, row, col):
         first_r, end_r = _squares(row, i)
         for j in range(cols):
             first_c, end_c = _squares(col, j)
-            whole, total = 0.0, 0.0
+            total_weight, total = 0.0, 0.0
             for r in range(first_r, end_r):
-                down = _share(row, i, r)
+                down = _overlap(row, i, r)
                 for c in range(first_c, end_c):
                     if there[r, c]:
-                        weight = down * _share(col, j, c)
-                        whole += weight
+                        weight = down * _overlap(col, j, c)
+                        total_weight += weight
                         total += weight * values[r, c]
-            if whole > 0.0:
-                out[i, j] = total / whole
+            if total_weight > 0.0:
+                out[i, j] = total / total_weight
     return out
 
 
 @compiled
-def _shares(values, there, down, row_weights, right, col_weights, rows, cols):
-    """Return ``_means`` of bool values, where all pixels cover squares alike (``_even``), in integer arithmetic."""
+def _means_of_bool(values, there, down, row_weights, right, col_weights, rows, cols):
+    """Return ``_means`` of bool values, where all pixels cover squares alike (``_uniform_weights``), in integer arithmetic."""
     out = np.empty((rows, cols), np.float32)
     wide = there.shape[1]
     down_weight, right_weight = 0, 0
@@ -182,41 +184,44 @@ def _shares(values, there, down, row_weights, right, col_weights, rows, cols):
         down_weight += row_weights[k]
     for k in range(col_weights.size):
         right_weight += col_weights[k]
-    most = down_weight * right_weight
-    quotients = np.empty(most + 1, np.float32)  # the means of pixels whose nodes are all valid
-    for n in range(most + 1):
-        quotients[n] = np.float64(n) / np.float64(most)
-    known, total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # sums down a row of pixels
-    all_known, all_total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # sums of the pixel that begins at each square
+    full_weight = down_weight * right_weight
+    quotients = np.empty(full_weight + 1, np.float32)  # the means of pixels whose nodes are all valid
+    for n in range(full_weight + 1):
+        quotients[n] = np.float64(n) / np.float64(full_weight)
+    valid_weight, total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # sums down a row of pixels
+    pixel_valid_weight, pixel_total = (
+        np.empty(wide, np.int32),
+        np.empty(wide, np.int32),
+    )  # sums of the pixel that begins at each square
     for i in range(rows):
         total[:] = 0
-        whole = True
+        row_is_valid = True
         for k in range(row_weights.size):
             if row_weights[k] > 0:
-                whole = _all_there(there[i * down + k]) and whole
-        if whole:
+                row_is_valid = _is_all_valid(there[i * down + k]) and row_is_valid
+        if row_is_valid:
             for k in range(row_weights.size):
                 if row_weights[k] > 0:
                     _add_weighted(values[i * down + k], np.int32(row_weights[k]), total)
-            _sum_along(total, col_weights, all_total)
+            _sum_along(total, col_weights, pixel_total)
             for j in range(cols):
-                out[i, j] = quotients[all_total[j * right]]
+                out[i, j] = quotients[pixel_total[j * right]]
             continue
-        known[:] = 0
+        valid_weight[:] = 0
         for k in range(row_weights.size):
             if row_weights[k] > 0:
-                _add_weighted(there[i * down + k], np.int32(row_weights[k]), known)
+                _add_weighted(there[i * down + k], np.int32(row_weights[k]), valid_weight)
                 _add_weighted(there[i * down + k] & values[i * down + k], np.int32(row_weights[k]), total)
-        _sum_along(known, col_weights, all_known)
-        _sum_along(total, col_weights, all_total)
+        _sum_along(valid_weight, col_weights, pixel_valid_weight)
+        _sum_along(total, col_weights, pixel_total)
         for j in range(cols):
-            among = all_known[j * right]
-            out[i, j] = np.float64(all_total[j * right]) / np.float64(among) if among > 0 else np.nan
+            pixel_weight = pixel_valid_weight[j * right]
+            out[i, j] = np.float64(pixel_total[j * right]) / np.float64(pixel_weight) if pixel_weight > 0 else np.nan
     return out
 
 
 @internal
-def _all_there(there):
+def _is_all_valid(there):
     missing = 0
     for n in range(there.size):
         missing += 0 if there[n] else 1
@@ -237,13 +242,13 @@ def _sum_along(values, weights, out):
     """
     count = values.size - weights.size + 1
     for k in range(weights.size):
-        weight, some, sums = np.int32(weights[k]), values[k : k + count], out[:count]
+        weight, window, sums = np.int32(weights[k]), values[k : k + count], out[:count]
         if k == 0:
             for n in range(count):
-                sums[n] = weight * some[n]
+                sums[n] = weight * window[n]
         elif weight > 0:
             for n in range(count):
-                sums[n] += weight * some[n]
+                sums[n] += weight * window[n]
 
 
 @compiled

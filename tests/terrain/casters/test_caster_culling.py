@@ -13,11 +13,11 @@ from hypothesis.extra import numpy as arrays
 from skugga.shadows.passes import PassLog
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import fill
-from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.terrain.casters.caster_culling import RISE_DIRECTIONS, culled_patches, own_ground_is_clear, rises
 from skugga.terrain.casters.casting import caster_sheets
-from skugga.terrain.casters.horizon_bound import RISE_DIRECTIONS, idle_patches, own_ground_is_clear, rises
-from skugga.terrain.casters.reach import Casters, casters_of
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.casters.reach import Casters, find_casters
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import SUN
 from skugga.terrain.level.parts import SunSpec
@@ -61,9 +61,9 @@ def blocks(write_raster, make_scene):
         scene = make_scene(raster, azimuth, altitude)
         west, north = 500_000.0 + 10.0 * corner[0], 5_300_000.0 - 10.0 * corner[1]
         view = scene.view(bounds=(west, north - 1600.0, west + 1600.0, north), size=(160, 160))
-        buffer = geometry_of(scene, view)
-        casters = casters_of(scene, buffer)
-        return scene, buffer, replace(casters, idle=idle_patches(scene, buffer, casters.patches))
+        buffer = geometry_buffer(scene, view)
+        casters = find_casters(scene, buffer)
+        return scene, buffer, replace(casters, idle=culled_patches(scene, buffer, casters.patches))
 
     return make
 
@@ -72,7 +72,7 @@ def lit_under(scene: Scene, buffer, casters: Casters, altitude_deg: float) -> np
     """Which points see a sun of another altitude, past the ground that casts (rows, cols)."""
     assert scene.sun is not None
     other = scene.with_sun(SunSpec(azimuth=scene.sun.azimuth_deg, altitude=altitude_deg))
-    return lit_from(buffer, other, SUN, ray_scene(buffer, scene, casters, ALL_KINDS))  # kept: the same under each sun
+    return lit_mask(buffer, other, SUN, ray_scene(buffer, scene, casters, ALL_KINDS))  # kept: the same under each sun
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -111,9 +111,9 @@ def test_ground_with_a_gap_is_kept_where_it_is_high_enough(write_raster, make_sc
     height[550:700] = np.nan
     scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0, nodata=np.nan), 180.0, 3.0)
     view = scene.view(bounds=(3000.0, 3600.0, 5000.0, 5000.0), size=(200, 140))
-    buffer = geometry_of(scene, view)
-    everything = casters_of(scene, buffer)
-    casters = replace(everything, idle=idle_patches(scene, buffer, everything.patches))
+    buffer = geometry_buffer(scene, view)
+    everything = find_casters(scene, buffer)
+    casters = replace(everything, idle=culled_patches(scene, buffer, everything.patches))
     lit, also_lit = (fill(buffer, scene, SUN, ("relief",), each, SweepSettings(), PassLog()) for each in (everything, casters))
     assert casters.idle and 0.05 < (lit == 0.0).mean() < 0.95
     assert np.array_equal(lit, also_lit)
@@ -126,9 +126,9 @@ def test_a_wall_is_kept_as_far_as_its_shadow_reaches(write_raster, make_scene, w
     height[690:700] = wall_m
     scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0), 180.0, 5.0)
     view = scene.view(bounds=(3000.0, 3100.0, 5000.0, 4600.0), size=(200, 150))
-    buffer = geometry_of(scene, view)
-    casters = casters_of(scene, buffer)
-    casters = replace(casters, idle=idle_patches(scene, buffer, casters.patches))
+    buffer = geometry_buffer(scene, view)
+    casters = find_casters(scene, buffer)
+    casters = replace(casters, idle=culled_patches(scene, buffer, casters.patches))
     lit = lit_under(scene, buffer, Casters(casters.patches, casters.reach), 5.0)
     assert bool(casters.casting) == casts == (not lit.all())
     assert np.array_equal(lit, lit_under(scene, buffer, casters, 5.0))

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from skugga.shadows.attached import attached
-from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from skugga.terrain.casters.reach import casters_of
+from skugga.shadows.truth.truth import ALL_KINDS, lit_mask, ray_scene
+from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
-from skugga.terrain.gbuffer.picture import geometry_of
-from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.gbuffer.light_facing import facing_normals
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.sun import direction_enu
 from skugga.terrain.lights import light_position
@@ -268,7 +268,7 @@ def test_a_flat_and_a_steep_facet_on_the_rim_are_both_left(ground_of):
 def test_a_camera_s_points_have_one_triangle_each(gl, ground_of):
     views = {"low": {"kind": "perspective", "eye": [0, -30, 30], "target": [0, 10, 0], "size": [64, 48]}}
     scene, _ = ground_of(tent(), views=views)
-    buffer = geometry_of(scene, scene.view("low"))
+    buffer = geometry_buffer(scene, scene.view("low"))
     facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
     assert buffer.there.any()
     assert facing.lift_frame is None  # the buffer's own normals lead off
@@ -284,7 +284,7 @@ def test_up_is_up_all_round_the_globe(write_raster, make_scene):
     heights = np.random.default_rng(3).uniform(-3000.0, 3000.0, (91, 180)).astype(np.float32)
     scene = make_scene(write_raster(heights, "EPSG:4326", -180.0, 91.0, 2.0), 67.0, 10.0)
     view = scene.view(bounds=(-178.0, -78.0, 178.0, 78.0), size=(178, 78))
-    buffer = geometry_of(scene, view)
+    buffer = geometry_buffer(scene, view)
     source = scene.light_position("sun", buffer.frame)
     facing = facing_normals(buffer, source)
     up = buffer.position_frame_m - buffer.frame.points_from_earth(np.zeros(3))
@@ -292,5 +292,5 @@ def test_up_is_up_all_round_the_globe(write_raster, make_scene):
     assert ((facing.lift_frame * up).sum(axis=-1)[buffer.there] > 0.9).all()
     to_sun = np.array(source[:3])
     day = buffer.there & (facing.normal_frame @ to_sun > np.sin(np.radians(8.0)))
-    rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
-    assert day.mean() > 0.3 and lit_from(buffer, scene, "sun", rays)[day].all() and not facing.blocked[day].any()
+    rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
+    assert day.mean() > 0.3 and lit_mask(buffer, scene, "sun", rays)[day].all() and not facing.blocked[day].any()

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skugga.terrain.trees import kept_pictures as module
-from skugga.terrain.trees.foliage import PAINTED_BY
-from skugga.terrain.trees.kept_pictures import kept_pictures
+from skugga.terrain.trees import cached_pictures as module
+from skugga.terrain.trees.cached_pictures import cached_pictures
+from skugga.terrain.trees.foliage import PAINTER_FILES
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -35,7 +35,7 @@ def source(tmp_path) -> Path:
 
 def test_what_was_painted_before_is_read(tmp_path, source):
     paint = Painter()
-    first, again = (kept_pictures(paint, (source,), tmp_path / "kept") for _ in range(2))
+    first, again = (cached_pictures(paint, (source,), tmp_path / "kept") for _ in range(2))
     assert paint.times == 1 and len(again) == 2
     for one, other in zip(first, again, strict=True):
         assert other.dtype == np.uint8
@@ -44,12 +44,12 @@ def test_what_was_painted_before_is_read(tmp_path, source):
 
 def test_other_code_and_other_packages_paint_anew_and_one_painting_is_kept(tmp_path, source, monkeypatch):
     paint = Painter()
-    kept_pictures(paint, (source,), tmp_path / "kept")
+    cached_pictures(paint, (source,), tmp_path / "kept")
     source.write_text("green = 2", encoding="utf-8")
-    kept_pictures(paint, (source,), tmp_path / "kept")
+    cached_pictures(paint, (source,), tmp_path / "kept")
     assert paint.times == 2
     monkeypatch.setattr(module, "VERSIONS", ("0.1", "0.2", "0.3"))
-    kept_pictures(paint, (source,), tmp_path / "kept")
+    cached_pictures(paint, (source,), tmp_path / "kept")
     assert paint.times == 3
     assert len(list((tmp_path / "kept").iterdir())) == 1
 
@@ -65,26 +65,26 @@ def test_other_code_and_other_packages_paint_anew_and_one_painting_is_kept(tmp_p
 )
 def test_a_damaged_file_is_painted_anew(tmp_path, source, damage):
     paint = Painter()
-    kept_pictures(paint, (source,), tmp_path / "kept")
+    cached_pictures(paint, (source,), tmp_path / "kept")
     (path,) = (tmp_path / "kept").iterdir()
     path.write_bytes(damage(path.read_bytes()))
-    found = kept_pictures(paint, (source,), tmp_path / "kept")
+    found = cached_pictures(paint, (source,), tmp_path / "kept")
     assert paint.times == 2 and (found[0] == 82).all()
-    kept_pictures(paint, (source,), tmp_path / "kept")
+    cached_pictures(paint, (source,), tmp_path / "kept")
     assert paint.times == 2
 
 
 def test_a_folder_that_cannot_be_made_is_no_error(tmp_path, source):
     (tmp_path / "file").write_text("", encoding="utf-8")
     paint = Painter()
-    assert len(kept_pictures(paint, (source,), tmp_path / "file" / "kept")) == 2
+    assert len(cached_pictures(paint, (source,), tmp_path / "file" / "kept")) == 2
     assert paint.times == 1
 
 
 def test_all_code_that_paints_counts():
     """What the painters import of the project is among the files that are looked at, but for what cannot change a picture."""
-    apart = {"skugga.terrain.cache", "skugga.terrain.compiled", "skugga.terrain.errors", "skugga.terrain.trees.kept_pictures"}
-    files = {path.resolve() for path in PAINTED_BY}
+    apart = {"skugga.terrain.cache", "skugga.terrain.compiled", "skugga.terrain.errors", "skugga.terrain.trees.cached_pictures"}
+    files = {path.resolve() for path in PAINTER_FILES}
     assert len(files) == 3
     for path in files:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -14,7 +14,7 @@ from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.level.parts import SunSpec
 
-STEEPER_SHARE = 0.05
+STEEP_SHARE = 0.05
 """Share of the ground that falls away from the sun more steeply than its rays."""
 
 LEAST_DEG, MOST_DEG = 4.0, 35.0
@@ -28,41 +28,41 @@ LEVEL_GROUND_DEG, OVER_LEVEL_GROUND_DEG = 0.5, 30.0
 
 HIGH_LATITUDE_DEG, OBLIQUITY_DEG = 60.0, 23.44
 
-BELOW_NOON = 0.9
+MAX_NOON_SHARE = 0.9
 """Upper bound of the sun's altitude as a share of its altitude at noon."""
 
 FLAT_WORLD_AZIMUTH_DEG = 240.0
 """Azimuth for an engineering CRS, which has no latitude: an afternoon's south-west."""
 
 
-def own_sun(world: World, elevation: Elevation) -> SunSpec:
+def default_sun(world: World, elevation: Elevation) -> SunSpec:
     """Return the default sun of a level, in whole degrees."""
     azimuth = FLAT_WORLD_AZIMUTH_DEG
     altitude = OVER_LEVEL_GROUND_DEG
-    low = LEAST_DEG
+    min_deg = LEAST_DEG
     for _ in range(2):  # the slopes depend on the azimuth, and the azimuth on the altitude
-        steep = _steepness_deg(world, elevation, azimuth)
-        altitude = OVER_LEVEL_GROUND_DEG if steep < LEVEL_GROUND_DEG else float(np.clip(steep, low, MOST_DEG))
+        steepness_deg = _steepness_deg(world, elevation, azimuth)
+        altitude = OVER_LEVEL_GROUND_DEG if steepness_deg < LEVEL_GROUND_DEG else float(np.clip(steepness_deg, min_deg, MOST_DEG))
         if not world.flat:
-            azimuth, altitude = _afternoon(world.anchor_lat_deg, altitude)
-            low = min(LEAST_DEG + _half_way_deg(world, elevation, azimuth), MOST_DEG)
+            azimuth, altitude = _afternoon_position(world.anchor_lat_deg, altitude)
+            min_deg = min(LEAST_DEG + _half_extent_deg(world, elevation, azimuth), MOST_DEG)
     return SunSpec(azimuth=round(azimuth) % 360, altitude=round(altitude))
 
 
-def _afternoon(lat_deg: float, altitude_deg: float) -> tuple[float, float]:
+def _afternoon_position(lat_deg: float, altitude_deg: float) -> tuple[float, float]:
     """Return the azimuth and altitude at which the sun reaches an altitude in the afternoon.
 
     The returned altitude is lower where the sun stays lower. From sin(declination) = sin(lat) sin(alt) + cos(lat) cos(alt)
     cos(azimuth).
     """
     declination_deg = OBLIQUITY_DEG * np.sign(lat_deg) if abs(lat_deg) > HIGH_LATITUDE_DEG else 0.0
-    altitude_deg = min(altitude_deg, BELOW_NOON * (90.0 - abs(lat_deg - declination_deg)))
+    altitude_deg = min(altitude_deg, MAX_NOON_SHARE * (90.0 - abs(lat_deg - declination_deg)))
     lat, declination, altitude = np.radians([np.clip(lat_deg, -89.9, 89.9), declination_deg, altitude_deg])
     cosine = (np.sin(declination) - np.sin(lat) * np.sin(altitude)) / (np.cos(lat) * np.cos(altitude))
     return float(360.0 - np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), float(altitude_deg)
 
 
-def _half_way_deg(world: World, elevation: Elevation, azimuth_deg: float) -> float:
+def _half_extent_deg(world: World, elevation: Elevation, azimuth_deg: float) -> float:
     """Return the distance from the level's centre to its far side along an azimuth, in degrees of a great circle."""
     azimuth = np.radians(azimuth_deg)
     cells = abs(np.sin(azimuth)) * elevation.cols + abs(np.cos(azimuth)) * elevation.rows
@@ -70,7 +70,7 @@ def _half_way_deg(world: World, elevation: Elevation, azimuth_deg: float) -> flo
 
 
 def _steepness_deg(world: World, elevation: Elevation, azimuth_deg: float) -> float:
-    """Return the slope angle in degrees that ``STEEPER_SHARE`` of the ground exceeds, facing away from an azimuth.
+    """Return the slope angle in degrees that ``STEEP_SHARE`` of the ground exceeds, facing away from an azimuth.
 
     Computed from the overview.
     """
@@ -81,5 +81,5 @@ def _steepness_deg(world: World, elevation: Elevation, azimuth_deg: float) -> fl
     south, east = np.gradient(heights.astype(np.float64), cell_m)
     azimuth = np.radians(azimuth_deg)
     rise = east * np.sin(azimuth) - south * np.cos(azimuth)  # towards the sun
-    known = rise[np.isfinite(rise)]
-    return float(np.degrees(np.arctan(np.quantile(known, 1.0 - STEEPER_SHARE)))) if known.size else 0.0
+    valid_rise = rise[np.isfinite(rise)]
+    return float(np.degrees(np.arctan(np.quantile(valid_rise, 1.0 - STEEP_SHARE)))) if valid_rise.size else 0.0

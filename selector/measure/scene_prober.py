@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from skugga.selector.measure.compare import DrawnBlock, drawn_on, run_light
+from skugga.selector.measure.compare import DrawnBlock, picture_blocks, run_light
 from skugga.selector.measure.point_truth import Lattice, PictureTruth, PointCounts, share_interval
-from skugga.selector.measure.probing import SURE_Z, Proof
-from skugga.selector.measure.view_truth import FOGGY, View
+from skugga.selector.measure.probing import INTERVAL_Z, ErrorMeasurement
+from skugga.selector.measure.view_truth import MAX_UNDECIDABLE_SHARE, View
 from skugga.selector.options import LightOptions
 from skugga.selector.planner.planner import Planner
 from skugga.shadows.plan import Step
@@ -28,8 +28,8 @@ MOST_DOUBLINGS = 4
 COVERAGE_BLOCKS = 16
 """Blocks of pixels in the first comparison of coverage. The number doubles with every step, up to that of the report."""
 
-DRAWN, LONG_MS = 2, 3000.0
-"""Repeats of a drawing, if one takes less than ``LONG_MS``. The least time counts: other load and one-time work only add to it."""
+DRAW_REPEATS, MAX_REPEATED_MS = 2, 3000.0
+"""Repeats of a drawing, if one takes less than ``MAX_REPEATED_MS``. The least time counts: other load and one-time work only add to it."""
 
 
 class ProbedPictures:
@@ -42,9 +42,9 @@ class ProbedPictures:
     @cached_property
     def drawn(self) -> list[DrawnBlock]:
         if isinstance(self.view, MapView):
-            ((picture, casters),) = drawn_on(self.scene, self.view)
+            ((picture, casters),) = picture_blocks(self.scene, self.view)
             return [(picture, casters)]
-        return drawn_on(self.scene, self.view)
+        return picture_blocks(self.scene, self.view)
 
 
 def probed_part(view: View) -> View:
@@ -60,8 +60,8 @@ def probed_part(view: View) -> View:
     return max(blocks_of(view), key=common)[0]
 
 
-class SceneProver:
-    """A ``skugga.selector.measure.probing.Prover`` for a light's options on a scene."""
+class SceneProber:
+    """A ``skugga.selector.measure.probing.OptionProber`` for a light's options on a scene."""
 
     def __init__(self, pictures: ProbedPictures, planner: Planner, light: str, options: LightOptions) -> None:
         self._start_s = time.perf_counter()
@@ -83,7 +83,7 @@ class SceneProver:
     @staticmethod
     def draw_s(ms: float) -> float:
         """Return the expected seconds to draw an option that takes ``ms`` milliseconds."""
-        return (DRAWN if ms < LONG_MS else 1) * ms / 1000.0
+        return (DRAW_REPEATS if ms < MAX_REPEATED_MS else 1) * ms / 1000.0
 
     def draw(self, which: int) -> float | None:
         """Draw an option and return its milliseconds; ``None`` if its algorithm refuses the view."""
@@ -93,7 +93,7 @@ class SceneProver:
         except UnsupportedError:
             return None
         ms = run.times[0]
-        for _ in range(1, DRAWN if ms < LONG_MS else 1):
+        for _ in range(1, DRAW_REPEATS if ms < MAX_REPEATED_MS else 1):
             ms = min(ms, run_light(self._pictures.scene, self._pictures.drawn, plan, self._light).times[0])
         self._parts[which], self._steps[which] = run.parts, plan.steps_under(self._light)
         for truth, part in zip(self._truths, run.parts, strict=True):
@@ -108,37 +108,37 @@ class SceneProver:
         return [PictureTruth(pictures.scene, each.own, casters, self._light, pictures.effects) for each, casters in pictures.drawn]
 
     @property
-    def foggy(self) -> bool:
+    def uses_coverage(self) -> bool:
         """Whether truth decides so few points that coverage is the error that counts."""
-        counts = [lattice.truth for its in self._known() for lattice in its]
+        counts = [lattice.truth for picture_lattices in self._lattices_so_far() for lattice in picture_lattices]
         surface, decided = (sum(int(getattr(truth, name).sum()) for truth in counts) for name in ("there", "decidable"))
-        return decided < (1.0 - FOGGY) * surface
+        return decided < (1.0 - MAX_UNDECIDABLE_SHARE) * surface
 
-    def _known(self) -> list[list[Lattice]]:
+    def _lattices_so_far(self) -> list[list[Lattice]]:
         """Return the lattices so far, by picture."""
         while len(self._lattices) < len(self._truths):
             self._lattices.append([])
-        for truth, its in zip(self._truths, self._lattices, strict=True):
+        for truth, picture_lattices in zip(self._truths, self._lattices, strict=True):
             truth.prepare()
-            while len(its) < min(2**self._doublings, truth.lattices):
+            while len(picture_lattices) < min(2**self._doublings, truth.lattice_count):
                 start = time.perf_counter()
-                its.append(truth.lattice(len(its)))
+                picture_lattices.append(truth.lattice(len(picture_lattices)))
                 self._points_s = time.perf_counter() - start
         return self._lattices
 
-    def proof(self, which: int) -> Proof:
+    def measurement(self, which: int) -> ErrorMeasurement:
         """Return the errors of a drawn option according to truth at the points so far."""
         total = PointCounts()
-        for number, its in enumerate(self._known()):
-            for index, lattice in enumerate(its):
+        for number, picture_lattices in enumerate(self._lattices_so_far()):
+            for index, lattice in enumerate(picture_lattices):
                 key = (which, number, index)
                 if key not in self._counted:
                     dark = self._dark[which][number]
                     self._counted[key] = self._truths[number].counts(lattice, dark, self._steps[which], self._pixel_m)
                 total += self._counted[key]
-        return self._of_coverage(which, total) if self.foggy else proof_of(total, self._all_known)
+        return self._of_coverage(which, total) if self.uses_coverage else measurement_from_counts(total, self._is_complete)
 
-    def _of_coverage(self, which: int, total: PointCounts) -> Proof:
+    def _of_coverage(self, which: int, total: PointCounts) -> ErrorMeasurement:
         """Return the errors by coverage: the mean difference of the shadow shares in blocks of pixels."""
         blocks = COVERAGE_BLOCKS * 2**self._doublings
         if not self._shares:
@@ -155,34 +155,37 @@ class SceneProver:
             for part, shares in zip(self._parts[which], self._shares, strict=True)
         ])  # fmt: skip
         off = off[np.isfinite(off)]
-        mean, half = (float(off.mean()), SURE_Z * float(off.std()) / max(len(off), 1) ** 0.5) if len(off) else (0.0, 1.0)
+        mean, half = (float(off.mean()), INTERVAL_Z * float(off.std()) / max(len(off), 1) ** 0.5) if len(off) else (0.0, 1.0)
         half = 0.0 if self._doublings == MOST_DOUBLINGS else half
-        inside = proof_of(total, self._all_known)
-        return Proof(
+        inside = measurement_from_counts(total, self._is_complete)
+        return ErrorMeasurement(
             mean, max(mean - half, 0.0), min(mean + half, 1.0), inside.interior, inside.interior_low, inside.interior_high, len(off)
         )
 
     @property
-    def _all_known(self) -> bool:
-        return all(len(its) == truth.lattices for its, truth in zip(self._known(), self._truths, strict=True))
+    def _is_complete(self) -> bool:
+        return all(
+            len(picture_lattices) == truth.lattice_count
+            for picture_lattices, truth in zip(self._lattices_so_far(), self._truths, strict=True)
+        )
 
-    def more_points_s(self) -> float | None:
+    def add_points_s(self) -> float | None:
         """Return the expected seconds to compute truth at more points; ``None`` if it is known at all points."""
-        if self._doublings == MOST_DOUBLINGS or (self._all_known and not self.foggy):
+        if self._doublings == MOST_DOUBLINGS or (self._is_complete and not self.uses_coverage):
             return None
         return self._points_s * 2**self._doublings * len(self._truths) + 2.0 * self._coverage_s
 
-    def more_points(self) -> None:
+    def add_points(self) -> None:
         """Request truth at more points."""
         self._doublings += 1
         self._shares = []
 
 
-def proof_of(counts: PointCounts, all_known: bool) -> Proof:
-    """Return the errors that counts of points give. ``all_known`` means all pixels are counted, so the intervals have no width."""
+def measurement_from_counts(counts: PointCounts, is_complete: bool) -> ErrorMeasurement:
+    """Return the errors that counts of points give. ``is_complete`` means all pixels are counted, so the intervals have no width."""
     error, interior = counts.wrong_cast / max(counts.cast, 1), counts.inside / max(counts.decided, 1)
-    if all_known:
-        return Proof(error, error, error, interior, interior, interior, counts.cast)
+    if is_complete:
+        return ErrorMeasurement(error, error, error, interior, interior, interior, counts.cast)
     low, high = share_interval(counts.wrong_cast, counts.cast)
     inside_low, inside_high = share_interval(counts.inside, counts.decided)
-    return Proof(error, low, high, interior, inside_low, inside_high, counts.cast)
+    return ErrorMeasurement(error, low, high, interior, inside_low, inside_high, counts.cast)

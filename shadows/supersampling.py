@@ -1,6 +1,6 @@
 """Supersampling of maps whose pixels are larger than the data's cells: a pixel shows the mean visibility of the ground it covers.
 
-The share of shadow therefore does not depend on the zoom. ``skugga.terrain.gbuffer.covered_nodes`` gives the nodes that a pixel
+The share of shadow therefore does not depend on the zoom. ``skugga.terrain.gbuffer.supersampling`` gives the nodes that a pixel
 covers. The plan's own steps draw these sub-pixel nodes like the pixels of any finer map. A box filter averages them, with attached
 shadow. Colours, heights and normals remain those of the pixel's own point. Bare ground under the sweep needs its heights alone.
 """
@@ -12,26 +12,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.shadows.block_casters import casters_beside, needed_steps
+from skugga.shadows.block_casters import find_outside_casters, needed_steps
 from skugga.shadows.layer_collector import LayerCollector
-from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS, PassLog
+from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PIXEL_LAYERS, PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.visibility import visibilities_at
-from skugga.terrain.casters.reach import NO_CASTERS, Casters, casters_in_sun, casters_of
+from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters, find_sun_casters
 from skugga.terrain.gbuffer.bare_ground import BareGround
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
-from skugga.terrain.gbuffer.covered_nodes import (
-    WIDE_M,
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.supersampling import (
+    MAX_PARALLEL_RAYS_M,
     covered_nodes,
-    halvings,
     is_bare,
     largest_in_pixels,
     means_in_pixels,
-    pieces_grid,
+    subdivision_level,
+    subpixel_grid,
 )
-from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, PixelWindow
 from skugga.terrain.ground.surface import map_pixel_m
@@ -48,7 +48,7 @@ Visibilities = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class CoarsePixels:
+class Supersampling:
     """The supersampling of a map's pixels under a plan.
 
     Attributes
@@ -59,7 +59,7 @@ class CoarsePixels:
         The finer grid whose nodes are averaged.
     per_pixel
         Approximate number of nodes along a pixel's side.
-    bare
+    heights_only
         Whether the heights of bare ground suffice.
     """
 
@@ -67,23 +67,23 @@ class CoarsePixels:
     plan: Plan
     grid: Grid
     per_pixel: int
-    bare: bool
+    heights_only: bool
 
     def nodes(self, view: MapView) -> MapView:
         """Return the nodes that some pixels cover."""
         return covered_nodes(view, self.grid)
 
-    def most_at_once(self, nodes: MapView) -> tuple[int, int]:
+    def max_nodes(self, nodes: MapView) -> tuple[int, int]:
         """Return the upper bounds of the nodes in one part: in all, and along a side."""
-        if not self.bare:
+        if not self.heights_only:
             return MOST_POINTS_AT_ONCE, BLOCK_PX * 8
         along = BLOCK_PX * 8
         if not self.scene.world.flat:
-            along = max(min(along, int(WIDE_M / self.scene.surface(nodes.grid).step_m)), BLOCK_PX)
+            along = max(min(along, int(MAX_PARALLEL_RAYS_M / self.scene.surface(nodes.grid).step_m)), BLOCK_PX)
         return MOST_BARE_AT_ONCE, along
 
 
-def coarse_pixels(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> CoarsePixels | None:
+def supersampling(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> Supersampling | None:
     """Return the supersampling of a map under a plan.
 
     It is ``None`` where pixels show their own points: in perspective views, where pixels are no larger than the data's cells, and
@@ -91,21 +91,21 @@ def coarse_pixels(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> 
     """
     if not isinstance(view, MapView) or not plan.steps:
         return None
-    count = halvings(scene, view)
+    count = subdivision_level(scene, view)
     if count == 0:
         return None
-    return CoarsePixels(scene, plan, pieces_grid(view, count), 2**count, bare=heights_say_all(scene, plan))
+    return Supersampling(scene, plan, subpixel_grid(view, count), 2**count, heights_only=heights_say_all(scene, plan))
 
 
-def halved_pixels(scene: Scene, view: MapView, plan: Plan) -> CoarsePixels | None:
+def edge_supersampling(scene: Scene, view: MapView, plan: Plan) -> Supersampling | None:
     """Return the supersampling that anti-aliases the edges of a map that is not coarse.
 
     Its nodes are half a pixel apart and include the pixels' own points. It is ``None`` where the heights alone do not suffice.
     """
-    narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= WIDE_M
+    narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= MAX_PARALLEL_RAYS_M
     if not (narrow and plan.steps and heights_say_all(scene, plan)):
         return None
-    return CoarsePixels(scene, plan, view.grid.refined(), 2, bare=True)
+    return Supersampling(scene, plan, view.grid.refined(), 2, heights_only=True)
 
 
 def heights_say_all(scene: Scene, plan: Plan) -> bool:
@@ -114,7 +114,7 @@ def heights_say_all(scene: Scene, plan: Plan) -> bool:
     return is_bare(scene) and scene.sun_is_up and all(fills)
 
 
-def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
+def mean_visibilities(pixels: Supersampling, own: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
     """Return each light's mean visibility (rows, cols) float32 in the pixels of a map's block.
 
     It is 1 in pixels whose nodes show no ground. Layers are means over the nodes, too; layers of counts and marks are the maximum.
@@ -124,11 +124,11 @@ def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer | BareGround, lo
     visibilities = {light: np.ones(own.there.shape, np.float32) for light in pixels.plan.lights}
     layers = LayerCollector(own.there.shape)
     if isinstance(own, GeometryBuffer) and not own.there.any():  # the plan's passes run without any work
-        return visibilities_at(pixels.scene, pixels.plan, own, casters_of(pixels.scene, own), log)
+        return visibilities_at(pixels.scene, pixels.plan, own, find_casters(pixels.scene, own), log)
     for window in _parts(pixels, own):
-        part, beside = _part(view, window), looks_beside(pixels.plan, own, window)
+        part, beside = _part(view, window), needs_outside_casters(pixels.plan, own, window)
         nodes = pixels.nodes(part)
-        seen = lit_nodes(pixels, nodes, beside, log) if pixels.bare else _of_points(pixels, nodes, beside, log)
+        seen = lit_nodes(pixels, nodes, beside, log) if pixels.heights_only else _lit_points(pixels, nodes, beside, log)
         there, filled = seen
         with log.run(ATTACHED_PASS):
             for light, values in filled.items():
@@ -136,11 +136,11 @@ def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer | BareGround, lo
                     continue  # the pixels are initialised with 1
                 means = means_in_pixels(part, nodes, values, there)
                 visibilities[light][window] = np.where(np.isnan(means), np.float32(1.0), means)
-        kept = {
-            key: [_in_pixels(part, nodes, picture, there) if key[0] in OF_PIXELS else picture for picture in pictures]
+        block_layers = {
+            key: [_in_pixels(part, nodes, picture, there) if key[0] in PIXEL_LAYERS else picture for picture in pictures]
             for key, pictures in log.take().items()
         }
-        layers.add(kept, window, (slice(None), slice(None)))
+        layers.add(block_layers, window, (slice(None), slice(None)))
     log.layers = layers.pictures
     return visibilities
 
@@ -150,7 +150,7 @@ def _part(view: MapView, window: PixelWindow) -> MapView:
     return view.part(down.start, right.start, down.stop - down.start, right.stop - right.start)
 
 
-def _parts(pixels: CoarsePixels, own: GeometryBuffer | BareGround) -> Iterator[PixelWindow]:
+def _parts(pixels: Supersampling, own: GeometryBuffer | BareGround) -> Iterator[PixelWindow]:
     """Yield the pixels of a block that show a surface, in rectangles whose nodes are processed at a time."""
     view = own.view
     assert isinstance(view, MapView)
@@ -163,8 +163,8 @@ def _parts(pixels: CoarsePixels, own: GeometryBuffer | BareGround) -> Iterator[P
         if not own.there[window].any():
             continue
         nodes, sides = pixels.nodes(_part(view, window)), [side.stop - side.start for side in window]
-        most, along = pixels.most_at_once(nodes)
-        if (nodes.rows * nodes.cols <= most and max(nodes.rows, nodes.cols) <= along) or max(sides) == 1:
+        max_nodes, along = pixels.max_nodes(nodes)
+        if (nodes.rows * nodes.cols <= max_nodes and max(nodes.rows, nodes.cols) <= along) or max(sides) == 1:
             yield window
             continue
         axis = int(sides[1] > sides[0])
@@ -173,7 +173,7 @@ def _parts(pixels: CoarsePixels, own: GeometryBuffer | BareGround) -> Iterator[P
             todo.append((half, window[1]) if axis == 0 else (window[0], half))
 
 
-def looks_beside(plan: Plan, own: GeometryBuffer | BareGround, window: PixelWindow) -> bool:
+def needs_outside_casters(plan: Plan, own: GeometryBuffer | BareGround, window: PixelWindow) -> bool:
     """Return whether casters beside a part of a map's block are searched.
 
     The effect ``outside_casters`` always searches them. Without it they are searched only where the block shows more than the part,
@@ -182,16 +182,16 @@ def looks_beside(plan: Plan, own: GeometryBuffer | BareGround, window: PixelWind
     return CASTERS_PASS in plan.runs or bool(own.there[window].sum() < own.there.sum())
 
 
-def lit_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def lit_nodes(pixels: Supersampling, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Return the valid mask of the nodes and the sun's visibility at them, from heights alone."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         nodes = bare_nodes(scene, view, pixels.per_pixel)
 
-    def found() -> Casters:
-        return Casters(casters_in_sun(scene, nodes) if beside else (), NO_CASTERS.reach)
+    def find_casters() -> Casters:
+        return Casters(find_sun_casters(scene, nodes) if beside else (), NO_CASTERS.reach)
 
-    casters = casters_beside(scene, plan, nodes, found, log)
+    casters = find_outside_casters(scene, plan, nodes, find_casters, log)
     lit = np.ones(nodes.shown.shape, np.bool_)
     for step in needed_steps(scene, plan.steps_under(SUN), nodes, casters, log):
         fill = ALGORITHMS[step.algorithm].node_fill(step.settings)
@@ -200,12 +200,12 @@ def lit_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -
     return nodes.shown, {SUN: lit}
 
 
-def _of_points(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
+def _lit_points(pixels: Supersampling, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Return the valid mask of the nodes and each light's visibility at them, from a geometry buffer."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
-        buffer = geometry_of(scene, view)
-    casters = casters_beside(scene, plan, buffer, lambda: casters_of(scene, buffer) if beside else NO_CASTERS, log)
+        buffer = geometry_buffer(scene, view)
+    casters = find_outside_casters(scene, plan, buffer, lambda: find_casters(scene, buffer) if beside else NO_CASTERS, log)
     return buffer.there, visibilities_at(scene, plan, buffer, casters, log)
 
 

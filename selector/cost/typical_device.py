@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from importlib.resources import files
 
-from skugga.selector.belief import SharedVariance
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import ErrorModel, packaged_model
+from skugga.selector.gaussian_estimate import SharedVariance
 from skugga.terrain.cache import MIB, cached
 
 UNKNOWN_TIME_SPREAD = 0.7
@@ -21,7 +21,7 @@ UNKNOWN_SHARED = SharedVariance(view=0.85, family=0.08)
 
 
 @cached("process", MIB)
-def usual_device() -> DeviceProfile:
+def typical_device() -> DeviceProfile:
     """Return the profile of the device that measured the selector's benchmark."""
     return DeviceProfile.model_validate_json(
         files("skugga.selector.cost").joinpath("usual_device.json").read_text(encoding="utf-8")

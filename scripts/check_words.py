@@ -1,0 +1,81 @@
+"""Refuse names of the dialect that this code once spoke, and commit subjects that are too long.
+
+python scripts/check_words.py                     # all Python files under version control
+python scripts/check_words.py FILE...             # some of them
+python scripts/check_words.py --commit-message FILE
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+MAX_SUBJECT = 72
+"""Characters of a commit's subject that ``git log --oneline`` shows in a terminal of 80."""
+
+FIELD_TERMS = {
+    r"_?(MOST|LEAST)_[A-Z0-9_]+": "MAX_..., MIN_...",
+    "SetAside|SetAsideError": "CircuitBreaker",
+    "NewSuns": "RateLimiter",
+    "SentBefore|Watched": "TileCacheMiddleware, RequestMiddleware",
+    "_flights|_land|_landed": "_pending, _finish",
+    "_news": "_wake",
+    "tally": "counters",
+    "stands?_back|give_way|_make_way|_look_round": "is_background, evict_idle, reap_stalled",
+    "told_of_compiling|read_the_suns_library|_say_how_it_is": "on_first_compile, import_pvlib, log_status",
+    "forget_halves": "remove_partial_files",
+    "is_bare|heights_say_all": "is_terrain_only, needs_heights_only",
+    "to_look_at|of_points": "is_display",
+    "there": "valid",
+    "because": "reason",
+}
+"""Names (regular expressions) that a reader cannot search for, and what the field calls them."""
+
+_FORBIDDEN = {re.compile(pattern): term for pattern, term in FIELD_TERMS.items()}
+
+
+def forbidden_names(path: Path) -> Iterator[tuple[int, str, str]]:
+    """Yield the line, the name and the field's term for each forbidden name of a Python file."""
+    with tokenize.open(path) as file:
+        for token in tokenize.generate_tokens(file.readline):
+            if token.type == tokenize.NAME:
+                term = next((term for pattern, term in _FORBIDDEN.items() if pattern.fullmatch(token.string)), None)
+                if term is not None:
+                    yield token.start[0], token.string, term
+
+
+def subject_problem(message: str) -> str | None:
+    """Return what is wrong with a commit message's subject; ``None`` if nothing is."""
+    subject, _, rest = message.partition("\n")
+    if len(subject) > MAX_SUBJECT:
+        return f"{len(subject)} characters, more than the limit of {MAX_SUBJECT}: {subject}"
+    if rest.strip() and not rest.startswith("\n"):
+        return f"no empty line after it: {subject}"
+    return None
+
+
+def main(arguments: list[str]) -> int:
+    """Print what is forbidden; return the exit status."""
+    if arguments[:1] == ["--commit-message"]:
+        problem = subject_problem(Path(arguments[1]).read_text(encoding="utf-8"))
+        if problem is not None:
+            print(f"commit subject: {problem}", file=sys.stderr)
+        return int(problem is not None)
+    listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
+    paths = [Path(argument) for argument in arguments] or [ROOT / name for name in listed]
+    found = [
+        (path, *each) for path in paths if path.is_file() and path.name != Path(__file__).name for each in forbidden_names(path)
+    ]
+    for path, line, name, term in found:
+        print(f"{path}:{line}: the name '{name}' is not of the field. Use: {term}.", file=sys.stderr)
+    return int(bool(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
