@@ -1,5 +1,5 @@
-"""What users touch: the HTTP service, its render processes, the command line, and pages of figures.
+"""User-facing parts: the HTTP service, its render processes, the command line, and pages of figures.
 
-Beside the folders lies what these share: the table of errors, settings, the levels there are, layers as files,
-and parameters made of the settings of shadows.
+The modules beside the folders are shared by them: the table of errors, the settings, the list of levels, layers as files,
+and parameters generated from the settings of shadows.
 """

@@ -1,8 +1,8 @@
-"""Animated WebP from pictures that are compressed by themselves, so that several are at a time.
+"""Animated WebP files from frames that are compressed independently, several at a time.
 
-Pillow's encoder of animations takes one picture after the other, and compresses each of them several times. What it would write is
-a container of the pictures' own files (RFC 9649), which is written here: of each picture only the rectangle that differs from the
-picture before it, and of pictures that are alike one that lasts longer.
+Pillow's animation encoder works frame by frame and compresses each frame several times. This module writes the container
+(RFC 9649) itself, around the compressed frames. It stores only the rectangle in which a frame differs from the previous one.
+Identical frames become one frame with a longer duration.
 """
 
 from __future__ import annotations
@@ -18,23 +18,33 @@ import numpy as np
 from PIL import Image
 
 LOSSY_QUALITY, LOSSY_METHOD = 80, 2
-"""Of pictures that move: a sixth of the size of lossless ones; edges of shadows stay sharp, colours beside them are mixed."""
+"""A sixth of the size of lossless animations. Shadow edges stay sharp; colours beside them bleed."""
 
 LOSSLESS_EFFORT, LOSSLESS_METHOD = 50, 2
-"""How hard lossless WebP looks for what is smaller: more takes longer, and gains one per cent (docs/films.md)."""
+"""Effort of the lossless encoder. More effort takes longer and gains one per cent of size (docs/films.md)."""
 
 MAX_RIFF_BYTES = 2**32 - 10
 LONGEST_S = 2**24 // 2000
-"""A picture is shown for 2^24 ms at the most."""
+"""Longest duration of one stored frame, seconds: half of the 2^24 ms that the format allows."""
 
 _ANIMATION, _KEEP_BLEND_OFF = 0x02, 0x02
 _SMALLEST = 2
-"""Sides of the rectangle of a picture like the one before it, which has lasted as long as it may."""
+"""Sides of the rectangle, pixels, that is stored for an unchanged frame when the previous one has its longest duration."""
 
 
 class Changes(NamedTuple):
-    """What a picture changes of the one before it: a rectangle from a row and a column on, both even; how long it is shown, and for
-    how many ``frames`` that are alike it stands.
+    """The difference of a frame from the previous one.
+
+    Attributes
+    ----------
+    row, col
+        Top left pixel of the changed rectangle; both are even.
+    color
+        Colours of the rectangle, uint8 (rows, cols, 3).
+    duration_ms
+        Duration, milliseconds.
+    frames
+        Number of identical frames that this one replaces.
     """
 
     row: int
@@ -45,7 +55,7 @@ class Changes(NamedTuple):
 
 
 def changes(colors: Iterable[np.ndarray], fps: float) -> Iterator[Changes]:
-    """What each of some pictures (rows, cols, 3) changes; of those that are alike there is one."""
+    """Yield the changes of successive frames, uint8 (rows, cols, 3). Identical frames yield one."""
     last: np.ndarray | None = None
     place, first, number = (0, 0, np.zeros((0, 0, 3), np.uint8)), 0, 0
     for number, color in enumerate(colors):
@@ -63,7 +73,7 @@ def changes(colors: Iterable[np.ndarray], fps: float) -> Iterator[Changes]:
 
 
 def _ms(number: int, fps: float) -> int:
-    """When a frame begins."""
+    """Return the time at which a frame begins, milliseconds."""
     return round(1000.0 * number / fps)
 
 
@@ -76,7 +86,7 @@ def _changed(color: np.ndarray, differ: np.ndarray) -> tuple[int, int, np.ndarra
 
 
 def animation_frame(change: Changes, lossless: bool) -> bytes:
-    """The chunk of a picture: ``ANMF`` with its compressed colours."""
+    """Return the ``ANMF`` chunk of a frame with its compressed colours."""
     out = io.BytesIO()
     options = (
         {"lossless": True, "quality": LOSSLESS_EFFORT, "method": LOSSLESS_METHOD}
@@ -90,7 +100,7 @@ def animation_frame(change: Changes, lossless: bool) -> bytes:
 
 
 def _compressed(content: bytes) -> Iterator[bytes]:
-    """The chunks of a WebP file that hold its colours."""
+    """Yield the chunks of a WebP file that hold its colours."""
     at = 12
     while at < len(content):
         name, size = content[at : at + 4], int.from_bytes(content[at + 4 : at + 8], "little")
@@ -101,21 +111,21 @@ def _compressed(content: bytes) -> Iterator[bytes]:
 
 
 def write_head(file: BinaryIO, size: tuple[int, int]) -> None:
-    """Begin an animation of (width, height) that goes on for ever; ``close`` says how long its file is."""
+    """Write the header of an endlessly repeated animation of ``size`` (width, height). ``write_length`` completes it."""
     width, height = size
     extended = bytes([_ANIMATION, 0, 0, 0]) + _three(width - 1) + _three(height - 1)
     file.write(b"RIFF\0\0\0\0WEBP" + _chunk(b"VP8X", extended) + _chunk(b"ANIM", struct.pack("<IH", 0xFFFFFFFF, 0)))
 
 
 def add_frame(file: BinaryIO, frame: bytes) -> None:
-    """Add a picture's chunk. Raises ``OSError`` where the file would be longer than WebP can be."""
+    """Append the chunk of a frame. Raises ``OSError`` if the file would be longer than WebP allows."""
     if file.tell() + len(frame) > MAX_RIFF_BYTES:
-        raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)} for WebP, which ends at 4 GB")
+        raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)} for WebP, whose limit is 4 GB")
     file.write(frame)
 
 
 def write_length(file: BinaryIO) -> None:
-    """Say in an animation's head how long its file is: the end of writing it."""
+    """Write the file's length into the header, as the last step."""
     end = file.tell()
     file.seek(4)
     file.write(struct.pack("<I", end - 8))

@@ -1,4 +1,4 @@
-"""What readers and writers of PMTiles archives share: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md"""
+"""Constants shared by readers and writers of PMTiles archives: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md"""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pmtiles.tile import TileType
 HEADER_BYTES = 127
 
 TILE_FORMATS = {TileType.PNG: "png", TileType.JPEG: "jpg", TileType.WEBP: "webp", TileType.AVIF: "avif"}
-"""Ending of an address by the type that a header says."""
+"""URL suffix by the tile type of the header."""
 
 TILE_TYPES = {format: tile_type for tile_type, format in TILE_FORMATS.items()}
 
 ARCHIVED_MEDIA_TYPES = {"png": "image/png", "jpg": "image/jpeg", "webp": "image/webp", "avif": "image/avif"}
-"""Media types of the tiles of archives, by the endings of their addresses."""
+"""Media type of an archive's tiles by their URL suffix."""

@@ -1,4 +1,4 @@
-"""The levels there are: the bundled ones by name, and others by path."""
+"""Look-up of levels: bundled levels by name, others by path."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
 
 RASTER_SUFFIXES = ".tif", ".tiff", ".vrt", ".img", ".asc", ".hgt"
-"""Usual ones of rasters of heights, by which those in a folder are named."""
+"""Usual suffixes of height rasters. A message about a folder suggests files with them."""
 
 ARCHIVE_SUFFIX = ".pmtiles"
-"""Of archives of tiles, which are served as they are."""
+"""Suffix of tile archives, which are served unchanged."""
 
 
 MAX_PATH_CHARACTERS = 4096
-"""Linux opens no longer paths."""
+"""Linux's ``PATH_MAX``."""
 
 
 def bundled_levels() -> list[Path]:
-    """Paths of the bundled level files, by name."""
+    """Return the paths of the bundled level files, sorted by name."""
     return sorted(LEVELS_FOLDER.glob("*.yaml"))
 
 
 def find_level(name: str) -> Path:
-    """The file of a bundled level's name or of a path. Raises ``InputError``."""
+    """Return the file of a level, given a bundled level's name or a path. Raises ``InputError``."""
     if len(name) > MAX_PATH_CHARACTERS:
-        raise InputError("LEVEL", name, "a level file or a raster, or a bundled level's name")
+        raise InputError("LEVEL", name, "a level file, a raster, or the name of a bundled level")
     bundled = LEVELS_FOLDER / f"{name}.yaml"
     if Path(name).name == name and bundled.is_file():
         return bundled
@@ -37,11 +37,13 @@ def find_level(name: str) -> Path:
     if path.is_dir():
         inside = sorted(each.name for each in path.iterdir() if each.suffix.lower() in (*LEVEL_SUFFIXES, *RASTER_SUFFIXES))
         raise InputError(
-            "LEVEL", Problem(f"{name} is a folder"), f"a level file or a raster{', as ' if inside else ''}{', '.join(inside[:3])}"
+            "LEVEL",
+            Problem(f"{name} is a folder"),
+            f"Use a level file or a raster{', such as ' if inside else ''}{', '.join(inside[:3])}",
         )
     if path.suffix or path.name != name:
         raise InputError(
-            "LEVEL", Problem(f"there is no file {name}"), "a level file or a raster that is there, or a bundled level's name"
+            "LEVEL", Problem(f"no file {name}"), "Use an existing level file or raster, or the name of a bundled level"
         )
     names = ", ".join(level.stem for level in bundled_levels())
     raise InputError("LEVEL", name, f"a level file, a raster, or one of the bundled levels: {names}")

@@ -1,4 +1,4 @@
-"""Colours that stand for numbers: how layers of data are shown, and the legend that says so, for whoever serves one."""
+"""Colour scales of data layers, and their legends."""
 
 from __future__ import annotations
 
@@ -14,16 +14,26 @@ LegendFormat = Literal["png", "svg"]
 LEGEND_MEDIA_TYPES: dict[LegendFormat, str] = {"png": "image/png", "svg": "image/svg+xml"}
 
 LEGEND_IN = (3.4, 0.85)
-"""Width and height of a legend, inches of 100 pixels."""
+"""Width and height of a legend, inches at 100 pixels per inch."""
 
 LEGEND_SIZE_PX = 340, 85
-"""The same in pixels."""
+"""Width and height of a legend, pixels."""
 
 
 @dataclass(frozen=True)
 class ColorScale:
-    """Colours of numbers from ``low`` to ``high``, which those beyond share: a colour map of matplotlib's. ``ticks`` are numbers of
-    the scale with what is written beside them.
+    """A colour map over a range of numbers.
+
+    Attributes
+    ----------
+    title
+        Title of the legend.
+    colormap
+        Name of a matplotlib colour map.
+    low, high
+        Ends of the range. Numbers beyond an end have its colour.
+    ticks
+        Numbers of the scale and their labels.
     """
 
     title: str
@@ -33,7 +43,7 @@ class ColorScale:
     ticks: tuple[tuple[float, str], ...]
 
     def colored(self, values: np.ndarray) -> np.ndarray:
-        """Numbers (rows, cols) as RGBA (rows, cols, 4) uint8, transparent where they are NaN."""
+        """Return numbers (rows, cols) as RGBA, uint8 (rows, cols, 4); NaN and infinity are transparent."""
         there = np.isfinite(values)
         share = (np.where(there, values, self.low) - self.low) / (self.high - self.low)
         out = _table(self.colormap)[np.clip(np.rint(share * 255.0), 0, 255).astype(np.uint8)]
@@ -41,7 +51,7 @@ class ColorScale:
         return out
 
     def entries(self) -> list[dict[str, Any]]:
-        """The ticks as JSON: value, label, colour."""
+        """Return the ticks as JSON objects with value, label and colour (``#rrggbb``)."""
         shown = self.colored(np.array([[value for value, _ in self.ticks]]))[0]
         return [
             {"value": value, "label": label, "color": "#" + bytes(color[:3]).hex()}
@@ -49,7 +59,7 @@ class ColorScale:
         ]
 
     def legend(self, format: LegendFormat) -> bytes:
-        """The legend as a picture: a bar of the colours with ticks below and the title above."""
+        """Return the legend as a picture file: a colour bar with ticks below and the title above."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
@@ -71,7 +81,7 @@ class ColorScale:
 
 @cached("process", MIB)
 def _table(colormap: str) -> np.ndarray:
-    """The 256 colours (256, 4) uint8 of a map."""
+    """Return the colours of a matplotlib colour map, uint8 (256, 4)."""
     from matplotlib import colormaps
 
     return (colormaps[colormap](np.linspace(0.0, 1.0, 256)) * 255.0 + 0.5).astype(np.uint8)

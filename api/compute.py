@@ -1,4 +1,4 @@
-"""The one way from a request to an array or a file: products are computed block by block, here and nowhere else."""
+"""Computation of products, block by block, from a request to an array or a file. All front ends use this module."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.render import Frame, render_frame
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.reach import Reach
-from skugga.terrain.errors import MISSING_VALUE, InputError
+from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_ground import trim_bare_ground_cache
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, windows_of
@@ -35,15 +35,23 @@ from skugga.terrain.scene import Scene
 ViewT = TypeVar("ViewT", bound=MapView | PerspectiveView)
 
 BLOCKS_BYTES = 24 * MIB
-"""Bytes of the blocks computed last, of products that need no picture."""
+"""Size of the cache of recently computed blocks, for products that need no picture."""
 
 OnBlock = Callable[[int, int], None]
-"""Is called with how many steps are done, and how many there are."""
+"""Callback of progress: the number of finished steps and the total."""
 
 
 @dataclass(frozen=True, eq=False)
 class Computed:
-    """A product's array of a view, and the picture that it was made of, if it needs one."""
+    """A computed product of a view.
+
+    Attributes
+    ----------
+    array
+        The product's values, (rows, cols) or (rows, cols, bands).
+    picture
+        The picture from which the product was computed; ``None`` if it needs no picture.
+    """
 
     array: np.ndarray
     picture: Picture | None = None
@@ -55,7 +63,7 @@ class Computed:
 
     @property
     def reach(self) -> Reach | None:
-        """How far casters were looked for."""
+        """The distance up to which casters were considered."""
         return None if self.picture is None else self.picture.reach
 
 
@@ -72,18 +80,29 @@ def compute(
     Parameters
     ----------
     scene
-        The scene as the request wants to see it (``PictureRequest.seen``).
+        The scene with the request's sun and look (``PictureRequest.seen``).
+    view
+        The view to compute.
+    request
+        The product and its options.
     plan
         The plan of the view; ``None`` for a product that needs no picture.
     light
-        The light whose visibility is wanted; ``None``: the first.
+        The light whose visibility is computed; ``None`` takes the first.
+    on_block
+        Called after each block with the number of finished blocks and the total.
+
+    Returns
+    -------
+    Computed
+        The array, and the picture if the product needs one.
 
     Raises
     ------
     InputError
-        The product does not exist for such a view, or the light does not reach it.
+        The product is not defined for this kind of view, or the light does not reach it.
     SkuggaError
-        As ``draw`` and the product do.
+        Errors of ``draw`` and of the product.
     """
     product = request.record
     check_view(product, view)
@@ -97,7 +116,7 @@ def compute(
     if not view.on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
         return Computed(_compute_block(scene, nodes, product, request.options))
     out = product.empty_array(nodes.rows, nodes.cols, scene.height_range_m[0])
-    blocks = blocks_of(nodes)  # those of tiles: a map has the very pixels that they have
+    blocks = blocks_of(nodes)  # the blocks of tiles, so that maps and tiles have identical pixels
     for done, (block, row, col) in enumerate(blocks, start=1):
         inside, of_block = windows_of(nodes, block, row, col)
         out[inside] = _block_of_tiles(scene, block, product.name, request.options)[of_block]
@@ -107,10 +126,10 @@ def compute(
 
 
 def plan_for(scene: Scene, view: MapView | PerspectiveView, name: str, product: Product, overrides: dict[str, Any]) -> Plan | None:
-    """Return the plan of a view for a product; ``None`` where the product needs no picture.
+    """Return the plan of a view for a product; ``None`` if the product needs no picture.
 
-    ``name`` is the view's, ``overrides`` are changes of the level's ``shadows``. Raises ``InputError`` where the product does not
-    exist for such a view.
+    ``name`` is the view's name. ``overrides`` replace settings of the level's ``shadows``. Raises ``InputError`` if the product is
+    not defined for this kind of view.
     """
     check_view(product, view)
     if not product.needs_of(view):
@@ -127,7 +146,7 @@ def draw_picture(
     light: str | None = None,
     on_block: OnBlock | None = None,
 ) -> Picture:
-    """Draw what a product needs of a view. Raises as ``compute``."""
+    """Draw the parts of a view's picture that a product needs. Raises the errors of ``compute``."""
     needs = product.needs_of(view)
     if light is None and product.pass_layer is None:
         return draw(scene, view, plan, needs, on_block)
@@ -136,18 +155,18 @@ def draw_picture(
 
 
 def product_of_frame(scene: Scene, frame: Frame, name: str) -> np.ndarray:
-    """Return a product of a frame that was rendered before. Raises ``InputError``."""
+    """Return a product of a rendered frame. Raises ``InputError``."""
     product = product_named(name)
     picture = picture_of(frame, frozenset({"color", "opacity", "visibility", "reach", "frame"}))
     return product.compute(Part(scene, frame.view, product.options(), picture))
 
 
 def check_view(product: Product, view: MapView | PerspectiveView) -> None:
-    """Raise ``InputError`` where a product does not exist for such a view."""
+    """Raise ``InputError`` if a product is not defined for a view's kind."""
     kind = "map" if isinstance(view, MapView) else "perspective"
     if kind not in product.view_kinds:
         others = [name for name, each in PRODUCTS.items() if kind in each.view_kinds]
-        raise InputError("layer", product.name, f"in a {kind} view: {', '.join(others)}")
+        raise InputError("layer", product.name, f"the layers of a {kind} view: {', '.join(others)}")
 
 
 def _compute_block(
@@ -159,7 +178,7 @@ def _compute_block(
 
 
 def _block_of_picture(scene: Scene, block: MapView, product: Product, options: Any, plan: Plan) -> np.ndarray:
-    """Compute a block of a product that needs a picture; nobody asks how far casters were looked for."""
+    """Compute a block of a product that needs a picture, without the reach of casters."""
     wide = _widened(block, product.reach_px)
     picture = draw(scene, wide, plan, product.needs - {"reach"})
     return _inside(product.compute(Part(scene, wide, options, picture)), product.reach_px)
@@ -167,7 +186,7 @@ def _block_of_picture(scene: Scene, block: MapView, product: Product, options: A
 
 @cached("scene", BLOCKS_BYTES)
 def _block_of_tiles(scene: Scene, block: MapView, product: str, options: ProductOptions) -> np.ndarray:
-    """Compute a block; many small maps, as of clients that tile by themselves, lie in one."""
+    """Compute a block, with a cache: many small maps, as of clients that tile themselves, lie in one block."""
     return _compute_block(scene, block, PRODUCTS[product], options)
 
 
@@ -176,20 +195,30 @@ def _blocks(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView
 
 
 def _widened(view: ViewT, pixels: int) -> ViewT:
-    """Return a view with so many pixels more on each side."""
+    """Return a view extended by some pixels on each side."""
     if not pixels:
         return view
     return view.part(-pixels, -pixels, view.rows + 2 * pixels, view.cols + 2 * pixels)  # type: ignore[return-value]
 
 
 def _inside(array: np.ndarray, pixels: int) -> np.ndarray:
-    """Return an array without so many pixels on each side."""
+    """Return an array cropped by some pixels on each side."""
     return array[pixels : array.shape[0] - pixels, pixels : array.shape[1] - pixels]
 
 
 @dataclass(frozen=True, eq=False)
 class RasterPart:
-    """A part of the raster of the ``request``-th of some requests: an ``array`` (rows, cols, ...) from a cell of the raster on."""
+    """A part of a raster.
+
+    Attributes
+    ----------
+    request
+        Index of the request whose raster it is.
+    row, col
+        First row and column in the raster.
+    array
+        Values, (rows, cols) or (rows, cols, bands).
+    """
 
     request: int
     row: int
@@ -204,16 +233,16 @@ def raster_parts(
     overrides: dict[str, Any] | None = None,
     on_step: OnBlock | None = None,
 ) -> Iterator[RasterPart]:
-    """Return the parts of a raster by each of some requests for one product.
+    """Return an iterator over the parts of a raster for each of several requests for one product.
 
-    Memory is bounded by a block. Parts of one place follow one another, so what does not depend on the sun is done once.
-    ``overrides`` are changes of the level's ``shadows``. Raises ``SkuggaError`` at once where requests are wrong.
+    Only one block is in memory at a time. Parts of one block follow each other, so work that is independent of the sun is done
+    once. ``overrides`` replace settings of the level's ``shadows``. Raises ``SkuggaError`` immediately if a request is wrong.
     """
     product, view = requests[0].record, raster.view
     check_view(product, view)
     for request in requests:
         if product.when == "sun" and scene.sun is None and request.sun is None:
-            raise InputError("time", MISSING_VALUE, "a time, or an azimuth and an altitude: the level has no sun")
+            raise InputError.missing("time", "The level has no sun. Give a time, or an azimuth and an altitude")
     scenes = [request.seen(scene) for request in requests]
     blocks, plans = _blocks(scene, view, product), _plans(scenes, view, product, overrides or {})
     total = sum(product.steps(request.options) for request in requests) * len(blocks)
@@ -243,7 +272,7 @@ def raster_parts(
 
 
 def _plans(scenes: Sequence[Scene], view: MapView, product: Product, overrides: dict[str, Any]) -> list[Plan | None]:
-    """Return the plan of each scene, made for the middle block; ``None`` where the product needs no picture."""
+    """Return the plan of each scene, made for the middle block; ``None`` if the product needs no picture."""
     if not product.needs:
         return [None] * len(scenes)
     blocks = blocks_of(view)
@@ -260,9 +289,10 @@ def write_rasters(
     on_step: OnBlock | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
 ) -> None:
-    """Write a raster by each of some requests into a file of its own, and ``contours`` of the first: a file, and values.
+    """Write a raster file for each of several requests, and optionally contours of the first raster.
 
-    ``on_step(done, total)`` is called after each step. Raises as ``raster_parts``, and ``OSError``.
+    ``contours`` is the file of the contours and their values. ``on_step(done, total)`` is called after each step. Raises the errors
+    of ``raster_parts``, and ``OSError``.
     """
     parts, product = raster_parts(scene, raster, requests, overrides, on_step), requests[0].record
     notes = [raster_notes(request.seen(scene), request, overrides or {}) for request in requests]
@@ -290,7 +320,7 @@ def write_rasters(
 
 
 def raster_array(scene: Scene, raster: RasterView, request: ProductRequest, overrides: dict[str, Any] | None = None) -> np.ndarray:
-    """Return a raster by a request as one array (rows, cols) or (rows, cols, bands). Raises as ``raster_parts``."""
+    """Return a raster as one array (rows, cols) or (rows, cols, bands). Raises the errors of ``raster_parts``."""
     parts = raster_parts(scene, raster, [request], overrides)
     out = request.record.empty_array(*raster.shape, scene.height_range_m[0])
     for part in parts:
@@ -300,9 +330,9 @@ def raster_array(scene: Scene, raster: RasterView, request: ProductRequest, over
 
 
 def raster_notes(scene: Scene, request: ProductRequest, overrides: dict[str, Any]) -> RasterNotes:
-    """Return what a raster says of itself: the product, the level, the options or the sun, and what was asked of shadows.
+    """Return a raster's metadata: the product, the level, the options or the sun, and the requested shadow settings.
 
-    The sun's angles are those in the middle of the level.
+    The sun's angles are those at the centre of the level.
     """
     product, sun = request.record, scene.sun
     about, unit = product.about_of(request.options)

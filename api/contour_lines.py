@@ -1,4 +1,4 @@
-"""Contours of a raster as lines in a GeoPackage, window by window, joined where windows meet."""
+"""Contour lines of a raster, written to a GeoPackage. Lines are traced window by window and joined at window borders."""
 
 from __future__ import annotations
 
@@ -13,17 +13,34 @@ from skugga.terrain.atomic_files import atomic_path, write_error
 from skugga.terrain.errors import InputError
 
 WINDOW_CELLS = 2048
-"""Cells along a window; neighbours share a row or column, on which their lines end at the same points."""
+"""Cells along a window. Adjacent windows share a row or column, so that their lines end at the same points."""
 
 MOST_VERTICES = 20_000_000
-"""Of all lines together: about a gigabyte."""
+"""Vertices of all lines together, at most: about a gigabyte."""
 
 
 def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
-    """Write the lines of some values of a raster's first band, through its cells' centres, as features with the attribute ``value``
-    into a GeoPackage; how many lines there are. It takes its place when all is written. Raises ``InputError`` and ``OSError``.
+    """Write the contours of a raster's first band into a GeoPackage, and return the number of lines.
+
+    Vertices are interpolated between cell centres. Each feature has the attribute ``value``. The file is written atomically.
+
+    Parameters
+    ----------
+    raster
+        Raster file.
+    values
+        Values of the contours.
+    output
+        GeoPackage to write.
+
+    Raises
+    ------
+    InputError
+        The lines have too many vertices.
+    OSError
+        The file cannot be written.
     """
-    import pyogrio  # here: where pandas is installed it imports that
+    import pyogrio  # imported late, because it imports pandas if that is installed
     import shapely
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, GeometryError
 
@@ -37,8 +54,8 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
                     parts[value].append(line)
                     vertices += len(line)
                 if vertices > MOST_VERTICES:
-                    raise InputError(
-                        "--contours", str(output), f"at most {MOST_VERTICES} vertices; --bounds or fewer --levels help"
+                    raise InputError.over_limit(
+                        "--contours", f"{vertices} vertices in {output}", f"{MOST_VERTICES}", "Use --bounds or fewer --levels"
                     )
         transform, crs = dataset.transform, dataset.crs
     found, labels = [], []
@@ -65,7 +82,10 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
 
 
 def _lines(values: np.ndarray, row: int, col: int, levels: Sequence[float]) -> list[tuple[float, np.ndarray]]:
-    """The lines (n, 2) of levels, columns and rows of the raster, in a window of cells from a row and column on."""
+    """Return the values and contour lines of a window of cells.
+
+    Lines are float64 (n, 2): column and row in the raster. ``row`` and ``col`` are the window's first cell.
+    """
     from contourpy import contour_generator
 
     if min(values.shape) < 2:

@@ -1,4 +1,4 @@
-"""What this machine was calibrated for: the profile that predictions go by, found for the device that a process draws with."""
+"""Look-up and description of this device's calibration: the profile that predictions of time and error use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from skugga.terrain.level.level import Shadows
 
 
 def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfile | None:
-    """This device's calibration where there is something to choose; ``None`` where it has none, or there is no OpenGL."""
+    """Return this device's calibration if a plan may need OpenGL.
+
+    Returns ``None`` if no requested algorithm needs OpenGL, if the device has no calibration, or if OpenGL is missing.
+    """
     asked = overrides.get("algorithm")
     named = [asked] if asked else [settings.algorithm for settings in shadows.all_settings.values()]
     records = [ALGORITHMS.get(algorithm) if isinstance(algorithm, str) else None for algorithm in named]
@@ -22,19 +25,19 @@ def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfil
 
 
 def calibration() -> DeviceProfile | None:
-    """The calibration of the device that this process draws with; ``None`` where there is none, or no OpenGL."""
+    """Return the calibration of this process's OpenGL device; ``None`` if it has none, or without OpenGL."""
     from skugga.terrain.gl import device as gl
 
     return load_profile(*gl.renderer_and_version())
 
 
 def format_calibration(profile: DeviceProfile, path: Path) -> str:
-    """What a calibration measured, how well it fits and where it is kept, as text for a terminal."""
+    """Return a text for a terminal on a calibration: its measurements, the residuals of its fit, and its file."""
     rates = sum(map(len, profile.rates_ns.values()))
     lines = [
         f"Calibrated {profile.renderer} ({profile.version}, {profile.cpus} CPU cores) in "
         f"{format_duration(1000.0 * profile.took_s)}.",
-        f"{rates} rates measured, for {len(profile.rates_ns)} parts of the work.",
+        f"Measured {rates} rates, for {len(profile.rates_ns)} parts of the work.",
     ]
     if profile.residuals:
         fits = [
@@ -43,8 +46,8 @@ def format_calibration(profile: DeviceProfile, path: Path) -> str:
         ]
         lines.append(f"Residuals of the fit, relative to the measured times: {'; '.join(fits)}.")
     lines += [
-        f"Kept in {path}.",
-        "The policy predict uses it from now on, for devices of this name and driver only: equal ones share it. Running services "
-        "take it up within seconds.",
+        f"Stored in {path}.",
+        "The policy predict uses it from now on, for devices of this name and driver only. Equal devices share it. Running "
+        "services load it within seconds.",
     ]
     return "\n".join(textwrap.fill(line, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in lines)

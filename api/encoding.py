@@ -1,4 +1,4 @@
-"""Arrays of products as files: PNG, WebP, JPEG, GeoTIFF and ``.npy``."""
+"""Encoding of product arrays as PNG, WebP, JPEG, GeoTIFF and ``.npy``."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ if TYPE_CHECKING:
     from skugga.terrain.geo.world import World
 
 LOSSY_QUALITY = 90
-"""Of JPEG, and of WebP where a map is to be looked at and not to be computed with."""
+"""Quality of JPEG, and of WebP for products that are for display only."""
 
 ARRAY_FORMATS = ("tif", "npy")
-"""Formats that hold the numbers themselves. A TIFF says where they lie."""
+"""Formats that hold the numbers themselves. A TIFF is georeferenced."""
 
 
 def check_format(product: Product, format: str) -> None:
-    """Raise ``InputError`` where tiles and maps of a product are not served in a format."""
+    """Raise ``InputError`` if tiles and maps of a product are not served in a format."""
     if format not in product.map_formats:
         raise InputError("format", format, f"{', '.join(product.map_formats)} for layer {product.name}")
 
 
 def colored(array: np.ndarray, product: Product, options: ProductOptions, world: World, format: str) -> np.ndarray:
-    """Return what a file of a product's array shows: its numbers, or in a picture the colours of its scale."""
+    """Return a product's array for a format: its numbers, or the colours of its scale for picture formats."""
     if format in ARRAY_FORMATS or product.color_scale is None:
         return array
     return product.color_scale(options, world).colored(array)
 
 
 def as_picture(array: np.ndarray, product: Product, drawn: Picture | None) -> np.ndarray:
-    """Return an array of a view as a picture for PNG: most are pictures already, others lie over the drawn colour."""
+    """Return a view's array as a picture for PNG. Most arrays are pictures already; others are drawn over the view's colours."""
     if product.to_picture is None:
         return array
     assert drawn is not None and drawn.frame is not None
@@ -47,8 +47,8 @@ def as_picture(array: np.ndarray, product: Product, drawn: Picture | None) -> np
 def encode(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
     """Return an array of a product, ``colored`` for the format, as a file.
 
-    Display products alone are compressed with loss, and have no alpha channel where nothing is transparent. JPEG has white where
-    there is no surface. A GeoTIFF keeps all channels, and lies where the ``view`` does.
+    Only display products are compressed lossily. They have no alpha channel if all pixels are opaque. JPEG shows pixels without a
+    surface as white. A GeoTIFF keeps all channels and is georeferenced by the map ``view``.
     """
     if product.is_display and format not in ARRAY_FORMATS and array.shape[2] == 4 and (array[..., 3] == 255).all():
         array = array[..., :3]
@@ -64,7 +64,7 @@ def encode(array: np.ndarray, product: Product, format: str, view: object = None
 
 
 def encode_exactly(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
-    """Return an array of a product, ``colored`` for the format, as a file with all its channels, and with loss in JPEG alone."""
+    """Return an array of a product, ``colored`` for the format, as a file with all channels. Only JPEG is lossy."""
     if format == "tif":
         return geotiff(array, view, product.nodata)
     if format == "npy":
@@ -73,7 +73,7 @@ def encode_exactly(array: np.ndarray, product: Product, format: str, view: objec
 
 
 def encode_picture(array: np.ndarray, format: str) -> bytes:
-    """Return a picture (RGB, RGBA or gray) as PNG, lossless WebP, or JPEG without alpha. Raises ``InputError``."""
+    """Return a picture (RGB, RGBA or gray) as PNG, lossless WebP, or JPEG without alpha. Raises ``InputError`` otherwise."""
     if format == "png":
         return encode_png(array)
     from PIL import Image
@@ -90,14 +90,14 @@ def encode_picture(array: np.ndarray, format: str) -> bytes:
 
 
 def over(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
-    """Return an RGBA picture over an opaque sRGB colour, as RGBA."""
+    """Composite an RGBA picture over an opaque sRGB colour, and return RGBA."""
     alpha = picture[..., 3:].astype(np.float32) / 255.0
     blended = np.rint(picture[..., :3] * alpha + np.array(color, np.float32) * (1.0 - alpha)).astype(np.uint8)
     return np.concatenate([blended, np.full_like(picture[..., 3:], 255)], axis=-1)
 
 
 def geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
-    """Return an array (rows, cols) or (rows, cols, bands) as a GeoTIFF. That of a map view is georeferenced."""
+    """Return an array (rows, cols) or (rows, cols, bands) as a GeoTIFF, georeferenced if ``view`` is a map."""
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.io import MemoryFile
     from rasterio.transform import from_bounds
@@ -109,7 +109,7 @@ def geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
     if isinstance(view, MapView):
         where = {"crs": view.grid.crs.to_wkt(), "transform": from_bounds(*view.bounds, view.cols, view.rows)}
     with warnings.catch_warnings(), MemoryFile() as file:
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a perspective view has no place on a map
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a perspective view has no georeference
         with file.open(
             driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=bands.shape[0], dtype=bands.dtype,
             **where, compress="deflate", nodata=nodata,

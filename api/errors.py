@@ -1,6 +1,6 @@
-"""The one table from domain errors to HTTP statuses and exit statuses.
+"""Mapping from domain errors to HTTP statuses and exit statuses.
 
-Nothing below ``api`` knows a status, and nothing in ``api`` maps an error anywhere else.
+Modules below ``api`` know no status. No other module of ``api`` maps an error to one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DONE, FAILED, WRONG_INPUT = 0, 1, 2
 
 
 class NotServedError(NotFoundError):
-    """The service has no such thing; ``name`` is the parameter that names it."""
+    """The service has no such resource; ``name`` is the parameter that names it."""
 
     def __init__(self, name: str, message: str) -> None:
         self.name = name
@@ -40,19 +40,19 @@ class TooLargeError(InputError):
 
 
 class ArchiveError(InputError):
-    """A file is no archive of tiles that can be served; ``name`` is its path."""
+    """A file is not a tile archive that can be served; ``name`` is its path."""
 
 
 class WorkerCrashError(RenderError):
-    """A render process ended in the middle of its work."""
+    """A render process ended during its work."""
 
 
 class WorkerStartError(BusyError):
-    """A render process ended, or did not get ready in time, while it started."""
+    """A render process ended while it started, or was not ready in time."""
 
 
 class BrokenShardError(RenderError):
-    """The bytes of a shard are not those that its index tells of; ``number`` is the shard's among those that are read."""
+    """The bytes of a shard do not match its index; ``number`` is its position among the shards that are read."""
 
     def __init__(self, message: str, number: int | None = None) -> None:
         self.number = number
@@ -62,7 +62,7 @@ class BrokenShardError(RenderError):
 class NotReadyError(BusyError):
     """No render process has warmed up yet.
 
-    ``preparing`` is what it does: the ``task`` in words, steps ``done``, ``total``, and ``elapsed_s``.
+    ``preparing`` is its progress: the ``task`` in words, steps ``done``, ``total``, and ``elapsed_s``.
     """
 
     def __init__(self, message: str, preparing: dict[str, Any] | None = None) -> None:
@@ -71,7 +71,7 @@ class NotReadyError(BusyError):
 
 
 class LaterError(BusyError):
-    """The service is busy; ``retry_after_s`` says when it expects to be less so."""
+    """The service is busy; ``retry_after_s`` is the delay after which a retry may succeed, seconds."""
 
     def __init__(self, message: str, retry_after_s: int | None = None) -> None:
         self.retry_after_s = retry_after_s
@@ -83,40 +83,52 @@ class ExhaustedError(BusyError):
 
 
 class SetAsideError(LaterError):
-    """Pictures of this kind keep failing, and are not tried again for a while."""
+    """Pictures of this kind keep failing. The service does not try them again for a while."""
 
 
 class TooManySunsError(LaterError):
-    """A client asks for more new suns than the settings allow."""
+    """A client requests more new suns than the settings allow."""
 
 
 class UnfinishedError(LaterError):
-    """The animation is not drawn yet."""
+    """The animation is not finished yet."""
 
 
 class LevelChangedError(BusyError):
-    """The level has changed while an animation of it was drawn: ask for it again."""
+    """The level changed while an animation of it was drawn. Request it again."""
 
 
 class StorageError(SkuggaError):
-    """A film cannot be kept: there is no room for it."""
+    """A film cannot be stored because no space is left."""
 
 
 class TooCostlyError(InputError):
-    """What is asked for is expected to take longer than a picture may."""
+    """The picture is expected to take longer than the limit."""
 
 
 class UnhealthyError(SkuggaError):
-    """A part of the service has ended that should not: it is to be started anew."""
+    """A part of the service has ended unexpectedly. The service has to be restarted."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an error means outside: HTTP status, exit status and a stable code.
+    """How an error is reported to users.
 
-    ``public`` is the sentence that HTTP clients read; ``None`` lets them read the error's own message. Errors of the
-    work and of the operator's files have messages with paths and drivers' words in them, which are for the log.
-    ``retry_after_s`` tells the client when to come back. ``in_http`` says whether HTTP answers can have it at all.
+    Attributes
+    ----------
+    status
+        HTTP status.
+    exit_status
+        Exit status of the command line.
+    code
+        Stable code of HTTP problem documents.
+    public
+        Message for HTTP clients; ``None`` sends the error's own message. Failures and errors in the operator's files have messages
+        with paths and drivers' texts. Those only go to the log.
+    retry_after_s
+        Seconds after which the client may retry.
+    in_http
+        Whether HTTP answers can have this error.
     """
 
     status: int
@@ -128,12 +140,12 @@ class Outcome:
 
 
 OUTCOMES: dict[type[SkuggaError], Outcome] = {
-    SkuggaError: Outcome(500, FAILED, "error", "The work failed; the service's log says why."),
+    SkuggaError: Outcome(500, FAILED, "error", "The work failed. The service's log has the cause."),
     InputError: Outcome(422, WRONG_INPUT, "invalid_parameter"),
-    LevelError: Outcome(500, WRONG_INPUT, "level", "The level's file is wrong; the service's log says what."),
-    SourceError: Outcome(500, WRONG_INPUT, "source", "The level's raster cannot be read; the service's log says why."),
+    LevelError: Outcome(500, WRONG_INPUT, "level", "The level file is wrong. The service's log has the details."),
+    SourceError: Outcome(500, WRONG_INPUT, "source", "The level's raster cannot be read. The service's log has the cause."),
     ArrayError: Outcome(422, WRONG_INPUT, "array", in_http=False),
-    ArchiveError: Outcome(500, WRONG_INPUT, "archive", "The archive of tiles cannot be read; the service's log says why."),
+    ArchiveError: Outcome(500, WRONG_INPUT, "archive", "The tile archive cannot be read. The service's log has the cause."),
     UnsupportedError: Outcome(422, WRONG_INPUT, "unsupported"),
     TooLargeError: Outcome(413, WRONG_INPUT, "too_large"),
     TooCostlyError: Outcome(422, WRONG_INPUT, "too_costly"),
@@ -142,42 +154,50 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     BusyError: Outcome(503, FAILED, "busy", retry_after_s=2),
     LaterError: Outcome(503, FAILED, "busy", retry_after_s=2),
     ExhaustedError: Outcome(
-        503, FAILED, "exhausted", "The machine of the service has nothing left to work with; its log says what.", retry_after_s=5
+        503,
+        FAILED,
+        "exhausted",
+        "The service's machine has run out of threads, file descriptors or memory. The service's log has the details.",
+        retry_after_s=5,
     ),
     SetAsideError: Outcome(503, FAILED, "set_aside", retry_after_s=30),
     NotReadyError: Outcome(503, FAILED, "not_ready", retry_after_s=2),
     TooManySunsError: Outcome(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),
     UnfinishedError: Outcome(409, WRONG_INPUT, "unfinished", retry_after_s=2),
     LevelChangedError: Outcome(503, FAILED, "level_changed", retry_after_s=1),
-    StorageError: Outcome(507, FAILED, "storage", "There is no room for the film; the service's log says why."),
-    UnhealthyError: Outcome(503, FAILED, "unhealthy", "A part of the service has ended; its log says which.", retry_after_s=30),
-    RenderError: Outcome(500, FAILED, "render", "The picture could not be drawn; the service's log says why."),
+    StorageError: Outcome(507, FAILED, "storage", "No space is left for the film. The service's log has the cause."),
+    UnhealthyError: Outcome(503, FAILED, "unhealthy", "A part of the service has ended. Its log names it.", retry_after_s=30),
+    RenderError: Outcome(500, FAILED, "render", "The picture could not be drawn. The service's log has the cause."),
     WorkerCrashError: Outcome(
-        503, FAILED, "worker_crash", "Two render processes ended in the middle of this picture; others take their places.", 2
+        503, FAILED, "worker_crash", "Two render processes ended while they drew this picture. They are being replaced.", 2
     ),
     WorkerStartError: Outcome(
-        503, FAILED, "worker_start", "A render process ended while it started; it is started again.", retry_after_s=5
+        503, FAILED, "worker_start", "A render process ended while it started. It is being restarted.", retry_after_s=5
     ),
-    BrokenShardError: Outcome(500, FAILED, "broken_shard", "Tiles that were stored are broken; the log says which.", in_http=False),
+    BrokenShardError: Outcome(500, FAILED, "broken_shard", "Stored tiles are damaged. The log names them.", in_http=False),
     GraphicsError: Outcome(
-        503, FAILED, "graphics", "The service cannot draw: OpenGL does not work; its log says why.", retry_after_s=30
+        503,
+        FAILED,
+        "graphics",
+        "The service cannot draw: OpenGL does not work. Its log has the cause.",
+        retry_after_s=30,
     ),
     NoOpenGLError: Outcome(
         503,
         FAILED,
         "no_opengl",
-        "This needs OpenGL, which the service does not have. Bare ground under the sun does not.",
+        "This picture needs OpenGL, which the service does not have. Bare ground under the sun does not need it.",
     ),
     RenderTimeoutError: Outcome(504, FAILED, "render_timeout"),
 }
-"""Every class of error, each by itself: a test holds the table complete."""
+"""Outcome by the exact class of an error. A test checks that all classes are listed."""
 
 
 def outcome_of(error: SkuggaError) -> Outcome:
-    """What an error means outside."""
+    """Return how an error is reported to users."""
     return OUTCOMES[type(error)]
 
 
 def exit_status(error: SkuggaError) -> int:
-    """Exit status of the command line: 1 the work failed, 2 the input is wrong."""
+    """Return the command line's exit status: 1 if the work failed, 2 if the input is wrong."""
     return outcome_of(error).exit_status

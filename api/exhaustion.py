@@ -1,6 +1,6 @@
-"""What happens where the machine has no thread, file descriptor or memory left: the work fails for a moment, and nothing is lost.
+"""Recognition of exhausted threads, file descriptors and memory.
 
-Whatever takes a place for such work gives it back, and requests of such a moment are told to come again.
+The failure is temporary and loses nothing: whoever reserved a slot for the work releases it, and clients are told to retry.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from skugga.api.errors import ExhaustedError
 T = TypeVar("T")
 
 NO_THREAD = "can't start new thread"
-"""What Python says, in a plain ``RuntimeError``."""
+"""Text of the plain ``RuntimeError`` that Python raises."""
 
 NO_ROOM = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM, errno.EAGAIN}
-"""Of descriptors, memory, and (``EAGAIN``, of fork(2)) processes."""
+"""Error numbers of exhausted file descriptors, memory, and processes (``EAGAIN`` of fork(2))."""
 
 
 def exhausted_error(error: BaseException) -> ExhaustedError | None:
-    """The error of a machine that has nothing left, where that is what an error, or one that led to it, is about."""
+    """Return an ``ExhaustedError`` if an error, or one of its causes, reports exhausted resources; else ``None``."""
     for each in _chain(error):
         if isinstance(each, ExhaustedError):
             return each
         if isinstance(each, RuntimeError) and NO_THREAD in str(each):
             return ExhaustedError("no thread can be started")
         if isinstance(each, MemoryError):
-            return ExhaustedError("there is no memory left")
+            return ExhaustedError("no memory is left")
         if isinstance(each, OSError) and each.errno in NO_ROOM:
             return ExhaustedError(each.strerror or str(each))
     return None
 
 
 def in_thread(threads: Executor, function: Callable[..., T], *args: Any) -> asyncio.Future[T]:
-    """Run a function in one of some threads. Raises ``ExhaustedError`` where none can be started; then it is never run."""
+    """Run a function in a thread pool. Raises ``ExhaustedError`` if no thread can be started; the function then never runs."""
     call = _Call(function, args)
     try:
         return asyncio.get_running_loop().run_in_executor(threads, call)
     except RuntimeError as error:
-        call.is_dropped = True  # the executor has it in its queue all the same, for the next thread that it has
+        call.is_dropped = True  # the executor has queued the call nevertheless, for its next thread
         raise exhausted_error(error) or error from None
 
 

@@ -1,4 +1,4 @@
-"""Which files a level hangs on, and whether any of them has changed: rasters that a VRT names, and files beside a file, too."""
+"""Files that a level depends on, and their versions. They include the sources of a VRT and side-car files."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.linked_files import is_remote, sidecar_files
 
 MAX_FILES = 20_000
-"""Of a mosaic: those beyond are not watched."""
+"""Sources of a mosaic that are watched, at most."""
 
 Stamp = tuple[int, int, int, int] | None
-"""Time of the last change of the contents and of the file itself (nanoseconds), size in bytes, and number of a file; ``None``
-where there is none, as for bundled data. The second of the times changes even where a tool sets the first one back."""
+"""A file's mtime and ctime (nanoseconds), size in bytes and inode number; ``None`` if it does not exist, as for bundled data. The
+ctime changes even when a tool restores the mtime."""
 
 
 def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
-    """The files that a level hangs on, whether or not they are there: its own, the ones that it names, what those lead to, and what
-    would lie beside them.
+    """Return the files that a level depends on, existing or not.
+
+    They are the level file, the files that it names, the files that those refer to, and possible side-car files of all of them.
     """
     found = dict.fromkeys([loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_FILES] if not is_remote(source))])
     return tuple(dict.fromkeys([*found, *(beside for path in found for beside in sidecar_files(path))]))
 
 
 def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:
-    """The stamp of each file."""
+    """Return the stamp of each file."""
     return tuple(_stamp(path) for path in files)
 
 
 def level_version(loaded: LoadedLevel, stamps: Sequence[Stamp]) -> str:
-    """The version of a level whose watched files have these stamps: it changes with its text and with the files that it names."""
-    is_raster = str(loaded.path) in loaded.sources  # a raster that is a level by itself; a level file's text is in the digest
+    """Return a level's version, which changes with its text and its watched files. ``stamps`` are those of ``watched_files``."""
+    is_raster = str(loaded.path) in loaded.sources  # a raster used as a level; the digest covers a level file's text
     text = repr((loaded.digest, tuple(stamps if is_raster else stamps[1:])))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

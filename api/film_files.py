@@ -1,4 +1,7 @@
-"""Films as files: animated WebP, MP4, and sequences of PNG, each written whole or not at all, some frames at a time."""
+"""Film files: animated WebP, MP4 and PNG sequences.
+
+Files are written atomically. A few frames are encoded in parallel.
+"""
 
 from __future__ import annotations
 
@@ -19,19 +22,19 @@ from skugga.terrain.errors import InputError, Problem
 
 SEQUENCE_SUFFIX = ".png"
 FILM_SUFFIXES = ".webp", ".mp4"
-FILM_WORDS = "a film: day.webp, day.mp4, or frames as frames/%04d.png"
+FILM_WORDS = "a film such as day.webp or day.mp4, or frames such as frames/%04d.png"
 
 MOST_WEBP_PX = 16383
-"""A side of what WebP holds."""
+"""Longest side of a WebP picture."""
 
 MP4_QUALITY = "17"
-"""x264's constant rate factor: what is lost is hardly seen."""
+"""x264's constant rate factor: losses are hardly visible."""
 
 TICKS_PER_S = 90_000
-"""Of the clock that frames of an MP4 are shown by."""
+"""Time base of MP4 frames, ticks per second."""
 
 _BT709 = 1
-"""In the tables of H.273: primaries, transfer and matrix."""
+"""BT.709's number in the tables of H.273: primaries, transfer and matrix."""
 
 OnFrame = Callable[[int, int], None]
 T = TypeVar("T")
@@ -41,10 +44,10 @@ _NUMBER = re.compile(r"%(?:0([1-9]))?d")
 
 
 def check_film_path(path: Path, frames: int, size: tuple[int, int]) -> None:
-    """Look at where a film shall be written, before any frame is drawn; ``size`` is (width, height).
+    """Check the output path of a film before any frame is drawn. ``size`` is (width, height) in pixels.
 
-    Raises ``InputError`` for a name that no film can have, for frames of a longer film that would stay among these, and where the
-    encoder is missing; ``FileNotFoundError`` where there is no folder.
+    Raises ``InputError`` for an unsuitable name or size, for a folder with later frames of another film, and for a missing encoder.
+    Raises ``FileNotFoundError`` for a missing folder.
     """
     suffix, is_sequence = path.suffix.lower(), "%" in path.name
     if suffix not in (*FILM_SUFFIXES, SEQUENCE_SUFFIX):
@@ -52,20 +55,22 @@ def check_film_path(path: Path, frames: int, size: tuple[int, int]) -> None:
     if (suffix == SEQUENCE_SUFFIX or is_sequence) and (
         suffix != SEQUENCE_SUFFIX or len(_NUMBER.findall(path.name)) != 1 or path.name.count("%") != 1
     ):
-        raise InputError("output", str(path), f"a name with one number for {frames} frames, as frames/%04d.png")
+        raise InputError("output", str(path), f"a name with one number for {frames} frames, such as frames/%04d.png")
     if suffix == ".webp" and max(size) > MOST_WEBP_PX:
-        raise InputError("size", f"{size[0]}x{size[1]}", f"at most {MOST_WEBP_PX} a side in a .webp")
+        raise InputError("size", f"{size[0]}x{size[1]}", f"at most {MOST_WEBP_PX} pixels a side in a .webp file")
     if suffix == ".mp4":
         _av()
     folder = path.parent if suffix in FILM_SUFFIXES else path.parent.parent
     if not folder.is_dir():
         raise FileNotFoundError(2, "folder not found", str(path))
     if is_sequence and (longer := _later_frames(path, frames)):
-        raise InputError("output", str(path), f"a folder without frames of a longer film: {longer[0]} is there")
+        raise InputError(
+            "output", Problem(f"the folder of {path} has frames of a longer film: {longer[0]}"), "Remove them or use another folder"
+        )
 
 
 def film_files(path: Path, frames: int) -> list[Path]:
-    """The files of a film: one, or one for each frame."""
+    """Return the files of a film: one, or one for each frame."""
     if path.suffix.lower() in FILM_SUFFIXES:
         return [path]
     return [path.with_name(path.name % number) for number in range(1, frames + 1)]
@@ -74,13 +79,30 @@ def film_files(path: Path, frames: int) -> list[Path]:
 def write_film(
     path: Path, colors: Iterable[np.ndarray], frames: int, fps: float, lossless: bool = False, on_frame: OnFrame | None = None
 ) -> None:
-    """Write a film of ``frames`` pictures, uint8 (rows, cols, 3), which are taken one after the other, and compressed on all cores.
+    """Write a film, compressed on all cores.
 
-    PNG loses nothing, nor does WebP where it is to be ``lossless``. An MP4 is H.264 in BT.709 of limited range with halved chroma;
-    since that takes even sides, the last row and the last column of odd ones are there twice. ``on_frame(written, bytes)`` is
-    called with the frames that are written, and how large they are together. Whatever ends this early leaves what lay there before.
+    PNG is lossless, and WebP on request. MP4 is H.264 in limited-range BT.709 with 4:2:0 chroma subsampling. That needs even
+    sides, so the last row or column of an odd side is repeated. An interrupted write leaves the previous file in place.
 
-    Raises ``OSError`` with the path, and what ``colors`` raises.
+    Parameters
+    ----------
+    path
+        File to write, or a pattern for the frames' names (``film_files``).
+    colors
+        Frames, uint8 (rows, cols, 3), consumed one after the other.
+    frames
+        Number of frames.
+    fps
+        Frames per second.
+    lossless
+        Whether WebP is lossless.
+    on_frame
+        Called as ``on_frame(written, bytes)`` with the number of frames written so far and their total size.
+
+    Raises
+    ------
+    OSError
+        The film cannot be written. The error has the path. Errors of ``colors`` pass through.
     """
     count = _Count(on_frame)
     if path.suffix.lower() == SEQUENCE_SUFFIX:
@@ -98,20 +120,20 @@ def write_film(
 
 
 class _Count:
-    """Frames and bytes that are written."""
+    """Counter of written frames and bytes."""
 
     def __init__(self, on_frame: OnFrame | None) -> None:
         self._on_frame, self._frames, self._bytes = on_frame, 0, 0
 
     def add(self, content: int, frames: int = 1) -> None:
-        """So many bytes more, of so many frames."""
+        """Add ``content`` bytes of some frames, and report the totals."""
         self._frames, self._bytes = self._frames + frames, self._bytes + content
         if self._on_frame is not None:
             self._on_frame(self._frames, self._bytes)
 
 
 def _on_all_cores(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """What comes of each item in order; about as many as there are cores are worked on, and held, at a time."""
+    """Yield the results of ``work`` for all items, in order. About one item per core is in progress and in memory at a time."""
     from skugga.terrain.compiled import CORES
 
     with ThreadPoolExecutor(CORES, "skugga-encode") as threads:
@@ -159,15 +181,15 @@ def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float, count: _Cou
 
 
 def _mux(container: Any, packets: list[Any], count: _Count) -> None:
-    """Write packets, each of which is a frame. x264 looks at some dozens of frames before it gives the first one."""
+    """Write packets; each is one frame. x264 buffers some dozens of frames before it returns the first packet."""
     for packet in packets:
-        size = packet.size  # what is muxed is taken away
+        size = packet.size  # muxing empties the packet
         container.mux(packet)
         count.add(size)
 
 
 def _later_frames(path: Path, frames: int) -> list[Path]:
-    """Files of a sequence's folder that would be taken for frames after its last one."""
+    """Return files in a sequence's folder whose names continue it beyond its last frame."""
     before, after = _NUMBER.split(path.name)[0], path.name[path.name.rindex("d", 0, -len(path.suffix)) + 1 :]
     pattern = re.compile(re.escape(before) + "([0-9]+)" + re.escape(after))
     found = ((pattern.fullmatch(each.name), each) for each in path.parent.glob("*"))
@@ -175,11 +197,11 @@ def _later_frames(path: Path, frames: int) -> list[Path]:
 
 
 def _av() -> Any:
-    """PyAV. Raises ``InputError`` where it is not installed."""
+    """Import and return PyAV. Raises ``InputError`` if it is not installed."""
     try:
         import av
     except ImportError:
         raise InputError(
-            "output", Problem("this machine has no encoder of .mp4"), "pip install 'skugga[film]', or a .webp"
+            "output", Problem("this machine has no encoder of .mp4"), "Run pip install 'skugga[film]', or use a .webp file"
         ) from None
     return av

@@ -1,4 +1,4 @@
-"""When a film plays, from what a person asks: ends and steps as texts. The same for the command line, Python and HTTP."""
+"""Parsing of a film's time span from texts. The command line, Python and HTTP share it."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from datetime import datetime, timedelta
 from math import floor
 
 from skugga.selector.film_request import MOST_FRAMES, FilmSpan
-from skugga.terrain.errors import MISSING_VALUE, InputError, Problem
+from skugga.terrain.errors import InputError
 from skugga.terrain.level.camera_file import CameraPathSpec
 from skugga.terrain.level.durations import ALLOWED_DURATIONS, parse_duration
 from skugga.terrain.level.parts import ALLOWED_TIMES, parse_time
 
 USUAL_FPS, LEAST_FPS, MOST_FPS = 25.0, 0.1, 120.0
-"""Frames a second of a film that plays."""
+"""Default, lowest and highest frame rate, frames per second."""
 
 LEAST_STEP_S = 0.001
 
-_END_WORDS = f"{ALLOWED_TIMES}; or a reading of the level's clock, as 0s or 10m, under a sun that rests"
+_END_WORDS = f"{ALLOWED_TIMES}; or a reading of the level's clock, such as 0s or 10m, under a fixed sun"
 _SAME_FRAME = 1e-6
-"""Share of a step by which a film may be too short for its last frame: steps of a thirtieth of a second are rounded."""
+"""Tolerance of the span's length, as a fraction of a step. Steps of a thirtieth of a second are rounded."""
 
 
 def film_span(
@@ -30,12 +30,30 @@ def film_span(
     first_second: float | None = None,
     most_frames: int = MOST_FRAMES,
 ) -> FilmSpan:
-    """The span from one end to the other: dates, by which the sun moves, or readings of the clock, under a sun that rests. What is
-    not said follows from the camera's ``path``: it begins with the first frame, or has dates. Steps of the clock are by default
-    those of a film that plays at its own pace, ``fps`` frames a second. ``first_second`` is the clock's first reading, where the
-    ends are dates.
+    """Return the time span of a film.
 
-    Raises ``InputError``, which names ``from``, ``to``, ``step`` or ``fps``.
+    Both ends are dates, and the sun moves; or both are readings of the level's clock, and the sun is fixed. Missing ends follow
+    from the camera path: its dates, or its duration from the first frame on.
+
+    Parameters
+    ----------
+    start, end
+        Times with an offset from UTC, or clock readings such as ``10m``.
+    step
+        Time between two frames. With clock readings the default is ``1 / fps`` seconds: the film plays in real time.
+    fps
+        Frames per second.
+    path
+        Path of the camera.
+    first_second
+        Clock reading of the first frame, seconds, if the ends are dates.
+    most_frames
+        Upper bound of the number of frames.
+
+    Raises
+    ------
+    InputError
+        The error names ``from``, ``to``, ``step``, ``fps`` or ``seconds``.
     """
     if not LEAST_FPS <= fps <= MOST_FPS:
         raise InputError("fps", fps, f"{LEAST_FPS:g} to {MOST_FPS:g} frames a second")
@@ -48,32 +66,34 @@ def film_span(
     elif path_s is not None:
         last = first + timedelta(seconds=path_s)
     else:
-        raise InputError("to", MISSING_VALUE, "the last time, beside from")
+        raise InputError.missing("to", "Give the last time together with from")
     if isinstance(first, datetime) and isinstance(last, datetime):
         length_s = (last - first).total_seconds()
     elif isinstance(first, timedelta) and isinstance(last, timedelta):
         length_s = (last - first).total_seconds()
     else:
-        raise InputError("to", end, f"like from, {start}: both with a date, or both readings of the clock")
+        raise InputError("to", end, f"the same kind as from, {start}: both with a date, or both readings of the clock")
     if length_s < 0.0:
         raise InputError("to", end, f"a time that is not before from, {start}")
     if step is None and isinstance(first, datetime):
-        raise InputError("step", MISSING_VALUE, "the time between two frames, as 10m, beside from and to")
+        raise InputError.missing("step", "Give the time between two frames, such as 10m, together with from and to")
     step_s = 1.0 / fps if step is None else _step_s(step)
     frames = floor(length_s / step_s + _SAME_FRAME) + 1
     if frames > most_frames:
-        raise InputError("step", Problem(f"{frames} frames, one every {step_s:g} s"), f"at most {most_frames} frames")
+        raise InputError.over_limit(
+            "step", f"{frames} frames, one every {step_s:g} s", f"{most_frames} frames", "Use a longer step or a shorter span"
+        )
     if isinstance(first, datetime):
         return FilmSpan(frames, step_s, first, first_second)
     if first_second is not None and start is not None:
-        raise InputError("seconds", first_second, "one way to say what the clock shows: from is there already")
+        raise InputError.conflict("seconds", "from")
     return FilmSpan(frames, step_s, None, first_second if start is None else first.total_seconds())
 
 
 def _end(name: str, text: str | None) -> datetime | timedelta:
-    """A date with an offset, or a reading of the clock."""
+    """Return a time with an offset, or a clock reading. Raises ``InputError``."""
     if text is None:
-        raise InputError(name, MISSING_VALUE, "from and to together, or a camera's path")
+        raise InputError.missing(name, "Give from and to together, or a camera path")
     try:
         return parse_duration(text)
     except ValueError:

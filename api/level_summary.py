@@ -1,4 +1,4 @@
-"""What levels say of themselves: a line in a list, and remarks for their authors."""
+"""Summaries of levels for lists, and remarks for their authors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from skugga.terrain.scene import Scene, build_scene
 
 
 def _cost_of_soft_lamps(scene: Scene) -> list[str]:
-    """What a block of a map is expected to take under lamps that are shown as balls, and which key makes it cheap."""
+    """Return a remark on the expected time of a map block under spherical lamps, and on the key that makes it cheaper."""
     from skugga.api.device_calibration import calibration_for
     from skugga.api.picture_cost import remedy
     from skugga.selector.select import plan_of_view
@@ -25,14 +25,14 @@ def _cost_of_soft_lamps(scene: Scene) -> list[str]:
     cheaper = remedy(plan)
     if plan.predicted is None or cheaper is None:
         return []
-    return [f"a map of it is expected to take {plan.predicted.ms / 1000.0:.1f} s a block; {cheaper}"]
+    return [f"a map is expected to take {plan.predicted.ms / 1000.0:.1f} s a block; {cheaper}"]
 
 
 def summary(source: Path | LevelSource) -> dict[str, Any]:
-    """Name, title, bounds in degrees (``None`` in a flat world) and views of a level. Raises ``SkuggaError``."""
+    """Return a level's name, title, bounds in degrees (``None`` in a flat world) and views. Raises ``SkuggaError``."""
     loaded = load_level(source)
     bounds = None
-    if loaded.level.terrain.source is not None:  # ground that is made is a flat world, and takes a second to make
+    if loaded.level.terrain.source is not None:  # generated terrain is a flat world, and takes a second to generate
         scene = build_scene(loaded.without_sun)
         bounds = scene.bounds_lon_lat
         scene.close()
@@ -40,10 +40,11 @@ def summary(source: Path | LevelSource) -> dict[str, Any]:
 
 
 def remarks(source: Path | LevelSource) -> list[str]:
-    """What an author may want to know of a level that is not wrong: all that it names is read, its views and lights are placed,
-    and the algorithms that it asks for can serve each of its views.
+    """Validate a level, and return remarks for its author.
 
-    Raises ``SkuggaError``: of what is read and placed for all at once.
+    Reads all files that the level names, places its views and lights, and plans each view with the requested algorithms.
+
+    Raises ``SkuggaError``. One error lists everything that cannot be read or placed.
     """
     from skugga.selector.select import plan_of_view
 
@@ -72,18 +73,18 @@ def remarks(source: Path | LevelSource) -> list[str]:
     if any(lamp.radius_m > 0.0 for lamp in scene.lamps.values()):
         notes += _cost_of_soft_lamps(scene)
     if moving_keys := scene.loaded.level.moving_keys:
-        notes.append(f"moves by the clock: {', '.join(moving_keys)}")
+        notes.append(f"moving objects: {', '.join(moving_keys)}")
     notes += objects.notes
     notes += [f"warning: {text}" for text in (*scene.warnings, *objects.warnings)]
     if not is_generated:
         notes.append(f"{elevation.vertical.statement}; if that is wrong, set terrain.units or terrain.positive")
     if scene.world.off_earth_reason is not None and not is_generated:
-        notes.append(f"{scene.world.off_earth_reason}: no web tiles, and the sun by azimuth and altitude only")
+        notes.append(f"{scene.world.off_earth_reason}: no web tiles, and the sun is set by azimuth and altitude only")
     return notes
 
 
 def _planned(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """The views, each with a scene under a sun, whose plans say whether what a level asks of the shadows can be served."""
+    """Yield views and scenes, each under a sun, whose plans show whether a level's shadow settings are supported."""
     level = scene.loaded.level
     for name in level.views if level.views and level.shadows.algorithm != "auto" else ("map",):
         yield name, scene
@@ -99,7 +100,7 @@ def _planned(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 
 def _read_all(scene: Scene) -> None:
-    """Place a level's views and read the files that it names. Raises one ``InputError`` for all that is wrong with them."""
+    """Place a level's views and read the files that it names. Raises one ``InputError`` that lists all that is wrong."""
     from skugga.terrain.gbuffer.view_geometry import ground_imagery
 
     objects = scene.objects

@@ -1,4 +1,4 @@
-"""Probes of a level's maps, scale by scale: what plans of its tiles go by (``skugga.selector.map_probes``)."""
+"""Probes of a level's maps at each scale. Plans of its tiles use them (``skugga.selector.map_probes``)."""
 
 from __future__ import annotations
 
@@ -18,28 +18,30 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 FINEST, COARSEST_PX = 3, 128
-"""Probed are pixels of a cell's side over 2 ** ``FINEST``, and so on up to those of which ``COARSEST_PX`` show the level, as tiles
-do.
+"""Range of probed pixel sizes: from a cell's side over 2 ** ``FINEST`` up to the size at which ``COARSEST_PX`` pixels show the
+level, as tiles do.
 """
 
 
 PROBED_PLACES = ((0.5, 0.5), (0.3, 0.62), (0.68, 0.28))
-"""Middles of blocks, as shares of a level's sides: one block says little of others (``benchmarks/selection/blocks.py``)."""
+"""Centres of probed blocks, as fractions of the level's sides. One block predicts others poorly
+(``benchmarks/selection/blocks.py``)."""
 
 WIDE_BLOCKS = 2.0
-"""Several are probed of a level that is longer than so many."""
+"""Length of a level, in blocks, above which several blocks are probed."""
 
 
 def probed_scales(scene: Scene) -> range:
-    """The scales of a level's tiles (``skugga.selector.map_probes.MapClass``)."""
+    """Return the scales of a level's tiles (``skugga.selector.map_probes.MapClass``)."""
     view, finest = _whole(scene), round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST
     longest_m = max(view.rows, view.cols) * map_pixel_m(scene.world, view)
     return range(finest, max(round(log2(longest_m / COARSEST_PX)), finest) + 1)
 
 
 def under_class_sun(scene: Scene, sun: int) -> Scene:
-    """A scene under the sun that stands for a class of suns: its own, if that is one of them, else one in the middle of the class,
-    above the same point of the compass.
+    """Return a scene under a representative sun of a class of suns.
+
+    The scene's own sun is kept if it belongs to the class. Otherwise the sun has the class's middle altitude and the same azimuth.
     """
     own = scene.sun
     if own is not None and (found := map_class(1.0, own.altitude_deg)) is not None and found.sun == sun:
@@ -55,10 +57,9 @@ def probe_blocks(
     overrides: dict[str, Any] | None = None,
     budget_s: float = DEFAULT_BUDGET_S,
 ) -> ProbedView:
-    """Probe blocks of a level's maps with pixels of a side of ``pixel_m`` metres: the plan of the first, and what was seen in
-    all of them.
+    """Probe blocks of a level's map with pixels of ``pixel_m`` metres.
 
-    Raises ``SkuggaError``.
+    Returns the plan of the first block and the observations of all. Raises ``SkuggaError``.
     """
     places = probed_places(scene, pixel_m)
     probed = [
@@ -72,7 +73,7 @@ def probe_blocks(
 
 
 def probed_places(scene: Scene, pixel_m: float) -> tuple[tuple[float, float], ...]:
-    """Where blocks of a level are probed, as ``map_block`` takes it: in one place only where one block shows much of the level."""
+    """Return the centres of probed blocks for ``map_block``: only one if a block shows much of the level."""
     whole = _whole(scene)
     longest_px = max(whole.rows, whole.cols) * map_pixel_m(scene.world, whole) / pixel_m
     return PROBED_PLACES if longest_px > WIDE_BLOCKS * BLOCK_PX else PROBED_PLACES[:1]
@@ -85,14 +86,14 @@ def probe_maps(
     budget_s: float = DEFAULT_BUDGET_S,
     on_scale: Callable[[int, ProbedView], None] = lambda scale, probed: None,
 ) -> MapProbes:
-    """Probe a level's maps of all scales under its sun; ``on_scale(scale, probed)`` is called after each.
+    """Probe a level's maps of all scales under its sun. ``on_scale(scale, probed)`` is called after each scale.
 
-    Raises ``InputError`` where no sun shines, else ``SkuggaError``.
+    Raises ``InputError`` if no sun is above the horizon, and ``SkuggaError``.
     """
     altitude_deg = None if scene.sun is None else scene.sun.altitude_deg
     of_sun = map_class(1.0, altitude_deg)
     if of_sun is None:
-        raise InputError("altitude", altitude_deg, "a sun above the horizon: maps are probed under it")
+        raise InputError("altitude", altitude_deg, "a sun above the horizon, under which maps are probed")
     classes = []
     for scale in probed_scales(scene):
         probed = probe_blocks(scene, 2.0**scale, device, overrides, budget_s)
@@ -108,8 +109,9 @@ def _whole(scene: Scene) -> MapView:
 
 
 def map_block(scene: Scene, pixel_m: float, at: tuple[float, float] = (0.5, 0.5)) -> MapView:
-    """A block of a level's map with pixels of a side of ``pixel_m`` metres; ``at`` is where its middle lies, as shares of the
-    level's sides from the west and the south.
+    """Return a block of a level's map with pixels of ``pixel_m`` metres.
+
+    ``at`` is its centre, as fractions of the level's sides from the west and from the south.
     """
     west, south, east, north = scene.default_bounds(scene.map_crs)
     whole = _whole(scene)

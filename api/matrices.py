@@ -1,4 +1,4 @@
-"""Tile matrix sets: which are served, at which zooms a level is, and which tiles its data cannot reach."""
+"""Tile matrix sets: the served ones, the zoom range of a level, and tiles without data."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transform
 from skugga.terrain.scene import Scene
 
 LEVEL_TILES = 0.5
-"""A level's longest side at the first zoom, about, in tiles."""
+"""Approximate length of a level's longest side at the first zoom, tiles."""
 
 OVERZOOMS = 3
-"""Zooms past the one whose pixels are nearest in size to the source's cells."""
+"""Zooms beyond the one whose pixels are closest in size to the source's cells."""
 
 CASTER_DETAIL_M = 4.0
-"""Trees and meshes are served as far as cells of this side would be: at the last zoom a house of 10 m is some 20 pixels wide."""
+"""Cell size whose zoom range levels with trees or meshes have: at the last zoom a house of 10 m is some 20 pixels wide."""
 
 LonLatBounds = tuple[float, float, float, float]
 """West, south, east, north in degrees; east may pass 180."""
@@ -30,7 +30,13 @@ LonLatBounds = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class ZoomRange:
-    """First and last zoom, both inclusive."""
+    """A range of zooms.
+
+    Attributes
+    ----------
+    first, last
+        First and last zoom, both inclusive.
+    """
 
     first: int
     last: int
@@ -38,7 +44,7 @@ class ZoomRange:
 
 @cached("process", 64 * MIB)
 def served_matrix_sets() -> dict[str, TileMatrixSet]:
-    """The tile matrix sets whose tiles are 256 x 256 square pixels, counted from the top left, of constant width."""
+    """Return the tile matrix sets with tiles of 256 x 256 square pixels, a top left origin and constant matrix width."""
     served = {}
     for name in registered.list():
         matrix_set = registered.get(name)
@@ -54,24 +60,24 @@ def served_matrix_sets() -> dict[str, TileMatrixSet]:
 
 
 def matrix_set_of(name: str) -> TileMatrixSet:
-    """A tile matrix set by its name. Raises ``NotServedError`` that lists the ones served."""
+    """Return a tile matrix set by its name. Raises ``NotServedError``, which lists the served ones."""
     served = served_matrix_sets()
     if name not in served:
-        raise NotServedError("tms", f"Unknown tile matrix set {name[:60]!r}; served: {', '.join(served)}.")
+        raise NotServedError("tms", f"tms: {name[:60]!r} is not served. Served: {', '.join(served)}.")
     return served[name]
 
 
 def detail_m(scene: Scene) -> float:
-    """The side of the smallest thing, metres, that tiles of a level are served for: a cell of its raster, or what stands there."""
+    """Return the finest detail of a level, metres: the side of a raster cell, or ``CASTER_DETAIL_M`` with trees or meshes."""
     cell_m, level = scene.elevation.cell_size_m(scene.world.metres_per_unit), scene.loaded.level
     return min(cell_m, CASTER_DETAIL_M) if level.forest or level.meshes else cell_m
 
 
 def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBounds, cell_m: float) -> ZoomRange | None:
-    """The zooms at which a level is served; ``None`` where it lies outside of the tile matrix set's area.
+    """Return the zooms at which a level is served; ``None`` if it lies outside the tile matrix set's area.
 
-    The first is the one at which the level's longest side is nearest to ``LEVEL_TILES``, so that one or two tiles show
-    it; the last is ``OVERZOOMS`` past the one whose pixels on the ground at the anchor are nearest to ``cell_m`` (``detail_m``).
+    At the first zoom the level's longest side is closest to ``LEVEL_TILES``, so that one or two tiles show it. The last zoom is
+    ``OVERZOOMS`` beyond the one whose ground pixel size at the anchor is closest to ``cell_m`` (``detail_m``).
     """
     if not _within_area(matrix_set, bounds_lon_lat):
         return None
@@ -86,17 +92,17 @@ def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBo
 
 
 def check_tile(matrix_set: TileMatrixSet, zooms: ZoomRange, zoom: int, x: int, y: int) -> None:
-    """Raise ``NotServedError`` for a tile outside of the zooms or of the tile matrix."""
+    """Raise ``NotServedError`` for a tile outside the zoom range or the tile matrix."""
     if not zooms.first <= zoom <= zooms.last:
-        raise NotServedError("z", f"Zoom {zoom} is not served; zooms {zooms.first} to {zooms.last} are.")
+        raise NotServedError("z", f"z: zoom {zoom} is not served. Served: zooms {zooms.first} to {zooms.last}.")
     matrix = matrix_set.matrix(zoom)
     for name, index, count in (("x", x, matrix.matrixWidth), ("y", y, matrix.matrixHeight)):
         if not 0 <= index < count:
-            raise NotServedError(name, f"Tile {name} = {index} is outside of the matrix; {name} is 0 to {count - 1}.")
+            raise NotServedError(name, f"{name}: tile {index} is outside the tile matrix. Allowed: 0 to {count - 1}.")
 
 
 def doubles(matrix_set: TileMatrixSet, zoom: int) -> bool:
-    """Whether a tile of a zoom is exactly four of the next one."""
+    """Return whether a tile of a zoom covers exactly four tiles of the next zoom."""
     if zoom >= matrix_set.maxzoom:
         return False
     here, next_ = matrix_set.matrix(zoom), matrix_set.matrix(zoom + 1)
@@ -104,13 +110,16 @@ def doubles(matrix_set: TileMatrixSet, zoom: int) -> bool:
 
 
 def tile_view(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, scale: int) -> MapView:
-    """A tile's pixels, of the zoom that has ``scale`` times as many a side."""
+    """Return the map view of a tile with ``scale`` times 256 pixels a side."""
     grid, side = tile_grid(matrix_set, zoom + scale - 1), scale * TILE_PX
     return MapView(grid, float(y * side), float(x * side), 1.0, 1.0, side, side)
 
 
 def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds) -> tuple[int, int, int, int]:
-    """First and last row, first and last column of a zoom's tiles that may show data; all of them where that cannot be told."""
+    """Return the first and last row, and the first and last column, of a zoom's tiles that may show data.
+
+    Returns the whole matrix if the bounds cannot be transformed.
+    """
     matrix = matrix_set.matrix(zoom)
     rows, cols = (0, matrix.matrixHeight - 1), (0, matrix.matrixWidth - 1)
     west, south, east, north = transformer(LONGITUDE_LATITUDE, crs_of_tiles(matrix_set)).transform_bounds(
@@ -131,15 +140,15 @@ def tile_limits(matrix_set: TileMatrixSet, zoom: int, data_lon_lat: LonLatBounds
 
 
 def off_data(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, data_lon_lat: LonLatBounds) -> bool:
-    """Whether a tile surely shows no data."""
+    """Return whether a tile certainly shows no data."""
     return extent_off_data(crs_of_tiles(matrix_set), matrix_set.xy_bounds(Tile(x, y, zoom)), data_lon_lat)
 
 
 def extent_off_data(crs: CRS, edges: tuple[float, float, float, float], data_lon_lat: LonLatBounds) -> bool:
-    """Whether an extent (west, south, east, north in a CRS) surely shows no data. Compared in longitude and latitude, with a margin
-    for curved edges.
+    """Return whether an extent (west, south, east, north in a CRS) certainly shows no data.
 
-    ``False`` where that cannot be told: it is drawn then, and is empty.
+    The comparison uses longitudes and latitudes, with a margin for curved edges. Returns ``False`` if the extent cannot be
+    transformed; the picture is then drawn and may be empty.
     """
     west, south, east, north = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(*edges, densify_pts=21)
     if not np.isfinite([west, south, east, north]).all():
@@ -149,7 +158,7 @@ def extent_off_data(crs: CRS, edges: tuple[float, float, float, float], data_lon
     margin = 0.01 * max(east - west, north - south, data_east - data_west, data_north - data_south)
     if south > data_north + margin or north < data_south - margin:
         return True
-    # The tile is turned round the earth to begin at or after the data's western edge.
+    # Shifts the tile by whole turns so that it begins at or after the data's western edge.
     gap = (west - (data_west - margin)) % 360.0
     begins_inside = gap <= data_east - data_west + 2.0 * margin
     reaches_round = gap + (east - west) >= 360.0
@@ -168,7 +177,7 @@ def _within_area(matrix_set: TileMatrixSet, bounds: LonLatBounds) -> bool:
 
 
 def _longest_side_m(bounds: LonLatBounds) -> float:
-    """The longer of the lengths along the middle parallel, in steps that no geodesic cuts short, and a meridian."""
+    """Return the longer of two lengths, metres: along the middle parallel, in steps short enough for geodesics, and a meridian."""
     west, south, east, north = bounds
     lon, lat = np.linspace(west, east, 9), np.full(9, (south + north) / 2)
     _, _, width = WGS84.inv(lon[:-1], lat[:-1], lon[1:], lat[1:])

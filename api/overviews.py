@@ -1,7 +1,7 @@
-"""Overviews of a raster, made beside it: a file of means of 2 x 2, 4 x 4, ... cells, with the raster's name and ``.ovr`` after it.
+"""External overviews of a raster: means of 2 x 2, 4 x 4, ... cells in a file with the raster's name and the suffix ``.ovr``.
 
-The raster itself is only read. Cells without a height, marked or not, are in no mean: a cell of an overview is the mean of what
-heights there are below it, and without a height where there is none.
+The raster itself is only read. An overview cell is the mean of the valid heights below it, and is empty if there are none. Invalid
+cells are the nodata cells and the cells with implausible values.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from skugga.terrain.level.parts import Positive, Units
 from skugga.terrain.level.rasters import open_raster
 
 TILE_CELLS = 512
-"""Side of a tile of the file."""
+"""Side of a tile of the file, cells."""
 
 TILES_AT_A_TIME = 8
-"""Tiles side by side that are made from one window of the raster: 4 million of its cells."""
+"""Adjacent tiles that are made from one window of the raster, which has 4 million cells."""
 
-ALTERNATIVE = "gdaladdo writes overviews of such a raster"
+ALTERNATIVE = "Use gdaladdo for such a raster"
 
 
 def missing_overviews(raster: Path) -> str | None:
-    """What a raster has overviews for already, in words, or why it needs none; ``None`` where it lacks some.
+    """Return why a raster needs no further overviews, in words; ``None`` if it lacks some.
 
     Raises ``SourceError``.
     """
@@ -60,23 +60,39 @@ def make_overviews(
     positive: Positive | None = None,
     on_part: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write the overviews of a raster of heights beside it, whole or not at all; returns their file. ``nodata`` is a value of its
-    cells that means no height, besides the one that it declares; ``units`` and ``positive`` go before what it says of its heights.
-    ``on_part(done, total)`` is called after each part.
+    """Write the external overviews of a height raster atomically, and return their file.
 
-    Raises ``SourceError`` for what cannot have them, ``InputError`` for a ``nodata`` that no cell can have, ``OSError``.
+    Parameters
+    ----------
+    raster
+        Raster of heights.
+    nodata
+        A further nodata value, besides the declared one.
+    units, positive
+        Unit and direction of the heights. They override the raster's own metadata.
+    on_part
+        Called as ``on_part(done, total)`` after each part.
+
+    Raises
+    ------
+    SourceError
+        The raster cannot be read, or cannot have external overviews.
+    InputError
+        No cell can have the ``nodata`` value.
+    OSError
+        The file cannot be written.
     """
     target = raster.with_name(f"{raster.name}.ovr")
     with ExitStack() as stack:
         stack.enter_context(rasterio.Env())
-        stack.enter_context(warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning))  # overviews lie nowhere
+        stack.enter_context(warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning))  # overviews have none
         dataset = stack.enter_context(_opened(raster))
         _check(raster, target, dataset, nodata)
         dtype, limits = np.dtype(dataset.dtypes[0]), _plausible(dataset, units, positive)
         empty = _empty_value(dtype, limits, dataset.nodata if nodata is None else nodata)
         rows, cols = (-(-size // 2) for size in dataset.shape)
         parts = [*_parts(rows, cols)]
-        total = len(parts) + max(len(parts) // 3, 1)  # the coarser ones have a third of the cells
+        total = len(parts) + max(len(parts) // 3, 1)  # the coarser overviews have a third of the cells
         with atomic_path(target) as made:
             with rasterio.open(
                 made, "w", driver="GTiff", width=cols, height=rows, count=1, dtype=dtype, nodata=empty, tiled=True,
@@ -96,7 +112,7 @@ def make_overviews(
     with _opened(raster) as dataset:
         if lacks_overviews(dataset.height, dataset.width, dataset.overviews(1)):
             target.unlink()
-            raise SourceError(str(raster), f"a {dataset.driver} file, beside which GDAL looks for no overviews", ALTERNATIVE)
+            raise SourceError(str(raster), f"GDAL looks for no external overviews of a {dataset.driver} file", ALTERNATIVE)
     return target
 
 
@@ -110,7 +126,7 @@ def _write(half: DatasetWriter, values: np.ndarray, window: Window, path: Path) 
 def _build_coarser(half: DatasetWriter, factors: list[int], path: Path) -> None:
     try:
         half.build_overviews(factors, Resampling.average)
-    except Exception as error:  # GDAL's own errors, which rasterio gives no public base
+    except Exception as error:  # GDAL's own errors, for which rasterio has no public base class
         raise write_error(path, "the overviews", error) from error
 
 
@@ -119,33 +135,33 @@ def _opened(raster: Path) -> rasterio.DatasetReader:
         with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
             return open_raster(str(raster))
     except RasterioError:
-        raise SourceError(str(raster), "it cannot be opened", "a raster that GDAL reads") from None
+        raise SourceError(str(raster), "cannot be opened", "Use a raster that GDAL reads") from None
 
 
 def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: float | None) -> None:
-    """Raise for what overviews of heights cannot be made of."""
+    """Raise ``SourceError`` for rasters that cannot have external overviews, and ``InputError`` for an impossible ``nodata``."""
     flags = dataset.mask_flag_enums[0] if dataset.count else []
     reasons = {
         f"{dataset.count} bands": dataset.count != 1,
         f"cells of type {dataset.dtypes[0] if dataset.count else None}": bool(dataset.count)
         and np.dtype(dataset.dtypes[0]).kind not in "iuf",
-        "a mask beside its cells": MaskFlags.per_dataset in flags or MaskFlags.alpha in flags,
-        "overviews in the file itself, which go before those beside it": bool(
+        "a mask band": MaskFlags.per_dataset in flags or MaskFlags.alpha in flags,
+        "overviews in the file itself, which hide external ones": bool(
             dataset.count and dataset.overviews(1) and not target.is_file()
         ),
     }
     for reason, there in reasons.items():
         if there:
-            raise SourceError(str(raster), reason, f"one band of heights without overviews; {ALTERNATIVE}")
+            raise SourceError(str(raster), reason, f"Only one band of heights without overviews is supported. {ALTERNATIVE}")
     dtype = np.dtype(dataset.dtypes[0])
     if nodata is not None and dtype.kind in "iu":
         limits = np.iinfo(dtype)
         if not (float(nodata).is_integer() and limits.min <= nodata <= limits.max):
-            raise InputError("--nodata", f"{nodata:g}", f"a value that the raster's cells can have, of the type {dtype}")
+            raise InputError("--nodata", f"{nodata:g}", f"a value of the raster's cell type, {dtype}")
 
 
 def _plausible(dataset: rasterio.DatasetReader, units: Units | None, positive: Positive | None) -> tuple[float, float]:
-    """The least and the greatest value of a cell that is taken for a height."""
+    """Return the range of cell values that count as plausible heights."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
     unit = vertical_axis(dataset.name, dataset, units, positive).scale
     low, high = sorted((limit / unit - offset) / scale for limit in plausible_m(checked_crs(dataset.name, dataset)))
@@ -153,7 +169,7 @@ def _plausible(dataset: rasterio.DatasetReader, units: Units | None, positive: P
 
 
 def _empty_value(dtype: np.dtype, limits: tuple[float, float], nodata: float | None) -> float | None:
-    """What cells of an overview have where there is no height: what is told from one by itself. ``None`` where all are heights."""
+    """Return the overviews' nodata value, which no height has; ``None`` if all values are plausible heights."""
     if nodata is not None:
         return nodata
     if dtype.kind == "f":
@@ -163,7 +179,7 @@ def _empty_value(dtype: np.dtype, limits: tuple[float, float], nodata: float | N
 
 
 def _parts(rows: int, cols: int) -> Iterator[Window]:
-    """Windows of whole tiles, all of a raster."""
+    """Yield windows of whole tiles that cover a raster."""
     wide = TILE_CELLS * TILES_AT_A_TIME
     for row in range(0, rows, TILE_CELLS):
         for col in range(0, cols, wide):
@@ -173,13 +189,13 @@ def _parts(rows: int, cols: int) -> Iterator[Window]:
 def _halved(
     dataset: rasterio.DatasetReader, window: Window, limits: tuple[float, float], nodata: float | None, empty: float | None
 ) -> np.ndarray:
-    """Cells of the first overview, from twice as many a side of the raster."""
+    """Return cells of the first overview, computed from twice as many rows and columns of the raster."""
     row, col = 2 * window.row_off, 2 * window.col_off
     below = Window(col, row, min(2 * window.width, dataset.width - col), min(2 * window.height, dataset.height - row))
     try:
         values = dataset.read(1, window=below)
     except RasterioError:
-        raise SourceError(dataset.name, "a part that cannot be read", "an undamaged file") from None
+        raise SourceError(dataset.name, "a part cannot be read", "Use an undamaged file") from None
     none = [value for value in (dataset.nodata, nodata) if value is not None and not np.isnan(value)]
     first, second = (none * 2)[:2] if none else (np.nan, np.nan)
     means = _means(values, limits[0], limits[1], first, second, np.nan if empty is None else float(empty))
@@ -188,7 +204,7 @@ def _halved(
 
 @compiled
 def _means(values, low, high, nodata, other, empty):
-    """Means of 2 x 2 cells, those at the border of as many as there are, without what is no height; ``empty`` where nothing is."""
+    """Return means of the valid cells among 2 x 2, fewer at the border; ``empty`` if none is valid."""
     rows, cols = values.shape
     out = np.empty(((rows + 1) // 2, (cols + 1) // 2))
     for i in range(out.shape[0]):

@@ -1,7 +1,7 @@
-"""PNG files: rows less the rows above them, compressed by Intel's ISA-L.
+"""PNG encoder with the filter Up and Intel's ISA-L.
 
-Measured on shaded tiles of 256 x 256 pixels (``docs/speed.md``): a tenth of the time of Pillow's encoder, and smaller files. Where
-ISA-L is not built for a machine, zlib does the same.
+On shaded tiles of 256 x 256 pixels it takes a tenth of the time of Pillow's encoder, and writes smaller files (``docs/speed.md``).
+zlib replaces ISA-L on machines for which ISA-L is not built.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ else:
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}
-"""Colour types by channels: gray, gray with alpha, RGB, RGBA."""
+"""Colour type by the number of channels: gray, gray with alpha, RGB, RGBA."""
 
 UP = 2
-"""The filter that says: less the row above."""
+"""Filter type: the difference from the row above."""
 
 
 def encode_png(array: np.ndarray) -> bytes:
-    """The bytes of a PNG file (W3C PNG, third edition) of an array (rows, cols) or (rows, cols, channels) of uint8 or uint16."""
+    """Encode an array (rows, cols) or (rows, cols, channels) of uint8 or uint16 as PNG (W3C PNG, third edition)."""
     rows, cols = array.shape[:2]
     channels = 1 if array.ndim == 2 else array.shape[2]
     bits = 8 * array.itemsize

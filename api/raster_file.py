@@ -1,4 +1,4 @@
-"""Rasters of any size, written window by window and finished as cloud-optimised GeoTIFFs: whole or not at all."""
+"""Cloud-optimised GeoTIFFs of any size, written window by window and atomically."""
 
 from __future__ import annotations
 
@@ -25,7 +25,19 @@ TILE = 512
 
 @dataclass(frozen=True, eq=False)
 class RasterCells:
-    """The cells of a raster, whoever states them: ``name``, CRS, geotransform, rows and columns."""
+    """The cell grid of a raster.
+
+    Attributes
+    ----------
+    name
+        Name for messages: a path.
+    crs
+        Coordinate reference system.
+    transform
+        GDAL's geotransform, from columns and rows to coordinates.
+    rows, cols
+        Number of rows and columns.
+    """
 
     name: str
     crs: CRS
@@ -36,7 +48,19 @@ class RasterCells:
 
 @dataclass(frozen=True, eq=False)
 class RasterNotes:
-    """What a raster says of itself: ``about`` it in a sentence, its bands' ``descriptions`` and ``unit``, and further ``tags``."""
+    """Metadata of a raster.
+
+    Attributes
+    ----------
+    about
+        Description of the raster, one sentence.
+    descriptions
+        Descriptions of the bands.
+    unit
+        Unit of all bands.
+    tags
+        Further tags.
+    """
 
     about: str
     descriptions: tuple[str, ...]
@@ -44,7 +68,7 @@ class RasterNotes:
     tags: dict[str, str] = field(default_factory=dict)
 
     def write(self, dataset: DatasetWriter) -> None:
-        """Write them into a raster."""
+        """Write the metadata into a raster."""
         dataset.update_tags(
             TIFFTAG_SOFTWARE=f"Skugga {version('skugga')}", TIFFTAG_IMAGEDESCRIPTION=self.about,
             **{name.upper(): text for name, text in self.tags.items() if text},
@@ -58,13 +82,13 @@ RGBA = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
 
 
 class RasterFile:
-    """A raster that is being written."""
+    """A raster open for writing."""
 
     def __init__(self, dataset: DatasetWriter) -> None:
         self._dataset = dataset
 
     def write(self, row: int, col: int, array: np.ndarray) -> None:
-        """Write (rows, cols) or (rows, cols, bands) from a cell on. Raises ``OSError``."""
+        """Write an array (rows, cols) or (rows, cols, bands) at a row and column. Raises ``OSError``."""
         bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
         try:
             self._dataset.write(bands, window=Window(col, row, array.shape[1], array.shape[0]))
@@ -84,9 +108,10 @@ def cog(
     smooth: bool,
     notes: RasterNotes | None = None,
 ) -> Iterator[RasterFile]:
-    """A COG to be written; ``smooth``: its overviews are means, else they repeat cells.
+    """Open a cloud-optimised GeoTIFF for writing.
 
-    It takes its place when all is written and can be read; where that fails, what lay there stays. Raises ``OSError``.
+    ``smooth`` makes its overviews of means; otherwise they take the nearest cell. The file replaces ``path`` when it is written and
+    has been read back. A failure leaves the previous file in place. Raises ``OSError``.
     """
     rows, cols = shape
     with rasterio.Env(), atomic_path(path) as done:
@@ -104,13 +129,13 @@ def cog(
                 raw, done, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE, BIGTIFF="IF_SAFER",
                 OVERVIEW_RESAMPLING="AVERAGE" if smooth else "NEAREST", NUM_THREADS="ALL_CPUS",
             )  # fmt: skip
-        except Exception as error:  # GDAL's own errors, which rasterio gives no public base
+        except Exception as error:  # GDAL's own errors, for which rasterio has no public base class
             raise write_error(done, "the raster", error) from error
         check_raster(done)
 
 
 def check_raster(path: Path) -> None:
-    """Read every block of a raster that was written: GDAL may close a file on a full disk without a word. Raises ``OSError``."""
+    """Read every block of a written raster, since GDAL may close a file on a full disk without an error. Raises ``OSError``."""
     try:
         with rasterio.open(path) as dataset:
             for _, window in dataset.block_windows(1):

@@ -1,4 +1,4 @@
-"""The cells of a raster that is written: the level's own, those of another raster, or square ones of a resolution."""
+"""Cell grids of output rasters: the level's own grid, another raster's grid, or square cells of a given resolution."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from skugga.terrain.scene import Scene
 Bounds = tuple[float, float, float, float]
 
 SQUARE = 1e-6
-"""How far a raster's cells may be from square, as a share."""
+"""Tolerance of a square cell's aspect ratio."""
 
 MAX_RESOLUTION = 1e8
-"""Units of a CRS: in metres, more than twice round the earth."""
+"""Upper bound of a resolution, CRS units. In metres it is more than twice the earth's circumference."""
 
 MOST_CELLS = 2.0**40
-"""Of a raster that is written."""
+"""Cells of an output raster, at most."""
 
 
 @dataclass(frozen=True)
 class CellOrder:
-    """How a raster's cells lie in a view of them, whose rows run from west to east, the northern one first.
+    """Order of a raster's cells relative to a view of them. The view's rows run from west to east, the northern row first.
 
     Attributes
     ----------
     transposed
         Whether the raster's rows are the view's columns.
     rows_reversed, cols_reversed
-        Whether the raster's first row, or column, is the last one that the view has.
+        Whether the raster's first row, or column, is the view's last one.
     """
 
     transposed: bool = False
@@ -47,23 +47,23 @@ class CellOrder:
     cols_reversed: bool = False
 
     def in_raster(self, array: np.ndarray) -> np.ndarray:
-        """Cells (rows, cols, ...) of a view in the raster's order."""
+        """Return cells (rows, cols, ...) of the view in the raster's order."""
         cells = array.swapaxes(0, 1) if self.transposed else array
         return cells[:: -1 if self.rows_reversed else 1, :: -1 if self.cols_reversed else 1]
 
 
 @dataclass(frozen=True, eq=False)
 class RasterView:
-    """The cells of a raster that is made, and the view that shows them.
+    """The cell grid of an output raster, and the map view of its cells.
 
     Attributes
     ----------
     view
-        The cells as a map, in the raster's CRS, x to the east and y to the north.
+        The cells as a map in the raster's CRS, x to the east and y to the north.
     order
-        How the raster's cells lie in it.
+        Order of the raster's cells relative to the view.
     crs, transform
-        The raster's, in GDAL's order of axes.
+        The raster's CRS and geotransform, in GDAL's axis order.
     """
 
     view: MapView
@@ -78,7 +78,10 @@ class RasterView:
         return shape[::-1] if self.order.transposed else shape
 
     def placed(self, row: int, col: int, array: np.ndarray) -> tuple[int, int, np.ndarray]:
-        """First row and column in the raster, and the array there, of an array (rows, cols, ...) from a cell of the view on."""
+        """Return an array of the view in the raster's order, after its first row and column in the raster.
+
+        ``row`` and ``col`` are the first cell of ``array`` (rows, cols, ...) in the view.
+        """
         cells = self.order.in_raster(array)
         first_row, first_col = (col, row) if self.order.transposed else (row, col)
         rows, cols = self.shape
@@ -89,13 +92,13 @@ class RasterView:
         return first_row, first_col, cells
 
     def part(self, row: int, col: int, rows: int, cols: int) -> RasterView:
-        """Some cells, counted in the view; the offsets may be negative."""
+        """Return a part by its first row and column in the view, which may be negative, and its size."""
         first_row, first_col, _ = self.placed(row, col, np.empty((rows, cols), np.bool_))
         transform = self.transform @ Affine.translation(first_col, first_row)
         return RasterView(self.view.part(row, col, rows, cols), self.order, self.crs, transform)
 
     def cells(self, top: int, left: int, rows: int, cols: int) -> RasterView:
-        """Some cells, counted in the raster."""
+        """Return a part by its first row and column in the raster, and its size."""
         all_rows, all_cols = self.shape
         if self.order.rows_reversed:
             top = all_rows - top - rows
@@ -111,15 +114,36 @@ def raster_view(
     resolution: float | None = None,
     like: Path | RasterCells | None = None,
 ) -> RasterView:
-    """The cells of a raster of shade: those of the level's own raster, or of one that it shall be like; else square ones of a
-    ``resolution`` (default: the raster's) whose sides lie on multiples of it. Raises ``InputError``.
+    """Return the cell grid of an output raster.
+
+    Without parameters it is the grid of the level's own raster.
+
+    Parameters
+    ----------
+    scene
+        The level's scene.
+    bounds
+        West, south, east and north in ``crs``.
+    crs
+        CRS of the output. The default is the CRS of the level's maps.
+    resolution
+        Side of square cells, CRS units; their edges lie on multiples of it. The default is the size of the level's cells.
+    like
+        A raster whose grid is used. It excludes the other parameters.
+
+    Raises
+    ------
+    InputError
+        Parameters exclude each other, or the grid has too many cells or does not overlap the level.
+    SourceError
+        The raster ``like`` cannot be read, has no CRS, or has a rotated grid.
     """
     if like is not None:
         for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution)):
             if value is not None:
-                raise InputError(name, value, f"nothing beside like: the cells are those of {like}")
+                raise InputError.conflict(name, "like")
         return _like(scene, cells_of_raster(like) if isinstance(like, Path) else like)
-    asked = scene.view("map", bounds, crs)  # checks what was asked
+    asked = scene.view("map", bounds, crs)  # checks the parameters
     target = asked.grid.crs if isinstance(asked, MapView) else scene.map_crs
     nothing_asked = crs is None and bounds is None
     if resolution is None and (nothing_asked or target == scene.elevation.crs):
@@ -134,7 +158,7 @@ def raster_view(
         raise InputError(
             "resolution",
             resolution,
-            f"more than 0 units of {target.name}, at most {MAX_RESOLUTION:g}, and fewer than 2^40 cells in all",
+            f"more than 0 and at most {MAX_RESOLUTION:g} units of {target.name}, with at most 2^40 cells in all",
         )
     col0, row0 = np.floor(west / resolution + 1e-9), np.floor(-north / resolution + 1e-9)
     cols, rows = np.ceil(east / resolution - 1e-9) - col0, np.ceil(-south / resolution - 1e-9) - row0
@@ -150,14 +174,14 @@ def _own(scene: Scene) -> RasterView | None:
 
 
 def cells_of_raster(path: Path) -> RasterCells:
-    """The cells of a raster file. Raises ``SourceError``."""
+    """Return the cell grid of a raster file. Raises ``SourceError``."""
     try:
         with warnings.catch_warnings(action="ignore"), open_raster(str(path)) as dataset:
             crs, transform, (rows, cols) = dataset.crs, dataset.transform, dataset.shape
     except RasterioError:
-        raise SourceError(str(path), "it cannot be opened", "a raster that GDAL reads") from None
+        raise SourceError(str(path), "cannot be opened", "Use a raster that GDAL reads") from None
     if crs is None:
-        raise SourceError(str(path), "no coordinate reference system", "a raster with a CRS")
+        raise SourceError(str(path), "no coordinate reference system", "Use a raster with a CRS")
     return RasterCells(str(path), CRS.from_user_input(crs.to_wkt()), transform, rows, cols)
 
 
@@ -165,39 +189,39 @@ def _like(scene: Scene, cells: RasterCells) -> RasterView:
     scene.check_crs(cells.name, cells.crs)
     found = _view_of(cells)
     if found is None:
-        raise SourceError(cells.name, "a turned grid", "rows and columns along the axes of its CRS")
+        raise SourceError(cells.name, "its grid is rotated", "Use a raster with rows and columns along the axes of its CRS")
     west, south, east, north = found.view.bounds
     right, up = (east - west) / found.view.cols / 2.0, (north - south) / found.view.rows / 2.0
     if not scene.overlaps(cells.crs, (west + right, south + up, east - right, north - up)):  # the cells' centres
         own = scene.default_bounds(cells.crs)
-        raise InputError("like", cells.name, f"a raster that meets the level, {_extents(found.view.bounds, own, cells.crs)}")
+        raise InputError("like", cells.name, f"a raster that overlaps the level; {_extents(found.view.bounds, own, cells.crs)}")
     return found
 
 
 def reach_beside(scene: Scene, raster: RasterView) -> str | None:
-    """Return a sentence on a raster that reaches beyond the level's extent by more than a cell, else ``None``."""
+    """Return a warning about a raster that extends beyond the level by more than a cell, else ``None``."""
     try:
         own = scene.default_bounds(raster.crs)
     except InputError:  # the level has no extent in that CRS
         return None
     west, south, east, north = raster.view.bounds
-    if raster.crs.is_geographic:  # the same places, as near as whole turns bring them
+    if raster.crs.is_geographic:  # shifts the raster by whole turns to the level
         turns = 360.0 * round((own[0] + own[2] - west - east) / 720.0)
         west, east = west + turns, east + turns
     cell = max(abs(value) for value in (raster.transform.a, raster.transform.b, raster.transform.d, raster.transform.e))
     if min(west - own[0], south - own[1], own[2] - east, own[3] - north) >= -cell:
         return None
-    return f"the raster reaches beyond the level, and is empty there: {_extents(raster.view.bounds, own, raster.crs)}"
+    return f"the raster extends beyond the level and is empty there; {_extents(raster.view.bounds, own, raster.crs)}"
 
 
 def _extents(theirs: Bounds, own: Bounds, crs: CRS) -> str:
-    """The extents of a raster and of a level in words."""
+    """Return the extents of a raster and of a level in words."""
     there, here = (",".join(f"{value:.9g}" for value in bounds) for bounds in (theirs, own))
-    return f"in units of {crs.name}: it is {there}, the level {here} (west,south,east,north)"
+    return f"the raster is {there}, the level {here} (west,south,east,north in {crs.name})"
 
 
 def _view_of(cells: RasterCells) -> RasterView | None:
-    """The cells of a raster as a map; ``None`` where its rows and columns do not run along the axes."""
+    """Return the cells of a raster with their map view; ``None`` if its rows and columns do not run along the axes."""
     gt = axes_of(cells.crs).affine @ cells.transform
     if gt.b == 0.0 == gt.d and gt.a and gt.e:
         order, shape = CellOrder(False, gt.e > 0.0, gt.a < 0.0), (cells.rows, cells.cols)
@@ -214,14 +238,17 @@ def _view_of(cells: RasterCells) -> RasterView | None:
 
 
 def _lattice(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, rows: int, cols: int) -> MapView:
-    """Cells by the first one's centre and their sides, as nodes of a grid: shade is that of the cells' own heights."""
+    """Return cells as nodes of a grid, so that shade is computed at the cells' own heights.
+
+    ``x0`` and ``y0`` are the centre of the first cell; the steps are the sides of a cell.
+    """
     stretch = row_step / col_step
     grid = Grid(crs, x0, y0, col_step, 1.0 if abs(stretch - 1.0) <= SQUARE else stretch)
     return MapView(grid, 0.0, 0.0, 1.0, 1.0, rows, cols)
 
 
 def _within(own: RasterView, bounds: Bounds) -> RasterView:
-    """Those of a raster's cells that bounds in its CRS touch."""
+    """Return the part of a raster whose cells intersect bounds in its CRS."""
     west, south, east, north = bounds
     view = own.view
     rows = ((view.grid.row(y) - view.row0) / view.row_step + 0.5 for y in (north, south))

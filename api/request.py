@@ -1,4 +1,4 @@
-"""What a caller asks for, whatever the front end: the sun, the look and the shadows, and the product with its options."""
+"""Requests of all front ends: the sun, the look and the shadows, and the product with its options."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ class _Value(BaseModel):
 
 
 class RequestedSettings(_Value):
-    """What a request asks of the shadows: keys of a level's ``shadows`` and their values, in the order of the keys there.
+    """Shadow settings of a request: keys of a level's ``shadows`` and their values, in the order of the model's fields.
 
-    ``algorithm`` is as the query spells it. A key that is not asked for is not among them: the level has its say. What else a
-    request asks is a field of ``PictureRequest``.
+    ``algorithm`` is spelt as in the query. Keys that are not requested are absent and keep the level's values. All other parts of a
+    request are fields of ``PictureRequest``.
     """
 
     asked: tuple[tuple[str, Any], ...] = ()
 
     @classmethod
     def of(cls, asked: Mapping[str, Any]) -> RequestedSettings:
-        """Of keys and values; ``None`` asks for nothing. Raises ``InputError``."""
+        """Return the settings of keys and values, without values that are ``None``. Raises ``InputError``."""
         ordered = {**dict.fromkeys(Shadows.model_fields), **asked}
         return cls(asked=tuple((key, value) for key, value in ordered.items() if value is not None))
 
@@ -43,7 +43,7 @@ class RequestedSettings(_Value):
         return asked
 
     def for_selector(self) -> dict[str, Any]:
-        """As policies of ``skugga.selector.select`` take them."""
+        """Return the settings in the form that the policies of ``skugga.selector.select`` take."""
         return _unspelt(self.asked)
 
 
@@ -52,10 +52,10 @@ def _unspelt(asked: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class PictureRequest(_Value):
-    """What a request asks whatever the view: of the sun (``None``: the level's own), of how it looks (likewise) and of the shadows.
+    """The part of a request that is independent of the view: the sun, the look and the shadows.
 
-    Jobs carry it whole, and entity tags and caches of plans know all of it: a field more needs nothing but its line in
-    ``seen``.
+    ``None`` takes the level's own value. Jobs carry the whole model, and entity tags and plan caches include all of it. A new field
+    only needs a line in ``seen``.
     """
 
     sun: SunSpec | None = None
@@ -64,19 +64,20 @@ class PictureRequest(_Value):
     overrides: RequestedSettings = RequestedSettings()
 
     def query(self, **more: str) -> str:
-        """The same as a query string, with other parameters before it; empty where nothing is asked."""
+        """Return the request as a query string after further parameters; empty if nothing is requested."""
         own = self.model_dump(mode="json", exclude_none=True, exclude={"overrides"})
         return urlencode({**more, **own.pop("sun", {}), **own, **dict(self.overrides.asked)})
 
     def seen(self, scene: Scene) -> Scene:
-        """A level's scene as the request wants to see it."""
+        """Return a level's scene with the requested sun and look."""
         return scene.with_sun(self.sun).with_style(self.style, self.slope_exaggeration)
 
 
 class ProductRequest(PictureRequest):
-    """A product with its options, under a sun. It is the same value wherever the same picture is asked for.
+    """A product with its options, under a sun. Requests for the same picture are equal.
 
-    What the product does not depend on is dropped: the style of all but colours, and sun and shadows of what has no moment.
+    Fields on which the product does not depend are dropped: the style if the product is not for display, and the sun and the
+    shadows if it does not depend on a moment.
     """
 
     product: str = "color"
@@ -104,7 +105,7 @@ class ProductRequest(PictureRequest):
 
     @property
     def picture(self) -> PictureRequest:
-        """What is asked of any picture."""
+        """The fields of ``PictureRequest``."""
         return PictureRequest(**{name: getattr(self, name) for name in PictureRequest.model_fields})
 
     def under(self, sun: SunSpec | None) -> ProductRequest:
@@ -112,10 +113,10 @@ class ProductRequest(PictureRequest):
         return ProductRequest(**{**dict(self), "sun": sun})
 
     def product_query(self) -> str:
-        """Return what is asked besides the product, as a query string."""
+        """Return the request without the product's name as a query string."""
         return "&".join(part for part in (self.options.query(), self.picture.query()) if part)
 
     def query(self, **more: str) -> str:
-        """Return the request as a query string; empty where it asks for the level's own colours."""
+        """Return the request as a query string; empty if it is for the level's own colours."""
         product = {} if self.product == "color" else {"layer": self.product}
         return "&".join(part for part in (urlencode({**more, **product}), self.product_query()) if part)

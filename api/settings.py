@@ -14,16 +14,19 @@ from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.gl.egl_devices import AUTO_DEVICE, read_setting
 
 MAX_DEFAULT_WORKERS = 4
-"""Render processes that are started unasked at most: with a software rasteriser each takes about 1.5 GB."""
+"""Default number of render processes, at most. With a software rasteriser each takes about 1.5 GB."""
 
 
 def default_workers() -> int:
-    """One render process per core: answering takes little, and processes draw more blocks than a rasteriser's threads."""
+    """Return the default number of render processes: one per core.
+
+    Answering requests takes little time, and processes draw more blocks than a rasteriser's threads.
+    """
     return min(usable_cores(), MAX_DEFAULT_WORKERS)
 
 
 class Settings(BaseSettings):
-    """How the service runs. Every field is an environment variable: ``workers`` is ``SKUGGA_WORKERS``.
+    """Settings of the service. Every field is an environment variable: ``workers`` is ``SKUGGA_WORKERS``.
 
     Times are in seconds, sizes in bytes.
     """
@@ -35,101 +38,106 @@ class Settings(BaseSettings):
     public_url: str | None = Field(
         default=None,
         pattern=r"^https?://[^/?#]+[^?#]*$",
-        description="Where clients reach the service, for the addresses in TileJSON; default: as the request has it.",
+        description="URL at which clients reach the service, for links in TileJSON; default: the request's.",
     )
     access_log: bool = Field(default=False, description="Log every request.")
-    log_format: Literal["text", "json"] = Field(default="text", description="Lines of the log: words, or an object of JSON each.")
+    log_format: Literal["text", "json"] = Field(default="text", description="Format of log lines: text, or a JSON object each.")
     api_token: SecretStr | None = Field(
-        default=None, min_length=8, description="What clients have to show as `Authorization: Bearer ...`; default: nothing."
+        default=None, min_length=8, description="Token that clients send as `Authorization: Bearer ...`; default: none is needed."
     )
     cors_origins: Annotated[tuple[str, ...], NoDecode] = Field(
         default=("*",), description="Origins whose pages may read the answers, separated by commas."
     )
-    max_connections: int = Field(default=1000, ge=1, description="Connections at a time, if there are file descriptors for them.")
+    max_connections: int = Field(default=1000, ge=1, description="Simultaneous connections, if there are enough file descriptors.")
     client_timeout_s: float = Field(
-        default=20.0, gt=0, description="Seconds that a client may take to send a request's headers or body, or to read on."
+        default=20.0,
+        gt=0,
+        description="Seconds that a client may take to send a request's headers or body, or pause reading.",
     )
     workers: int = Field(default_factory=default_workers, ge=1, le=256, description="Render processes.")
     queue_length: int = Field(
-        default=64, ge=1, description="Tiles of each client, a screenful, that may wait to be drawn whatever they take."
+        default=64,
+        ge=1,
+        description="Tiles of each client that may always wait in the queue: a screenful, whatever they take.",
     )
     queue_work_s: float = Field(
         default=20.0,
         gt=0,
-        description="Seconds of expected work beyond which no more of a client's pictures may wait, a screenful of tiles excepted.",
+        description="Seconds of expected work in the queue above which a client's further pictures are refused, except a screenful "
+        "of tiles.",
     )
-    queue_timeout_s: float = Field(default=60.0, gt=0, description="Seconds that a picture may wait for its turn to be drawn.")
+    queue_timeout_s: float = Field(default=60.0, gt=0, description="Seconds that a picture may wait in the queue.")
     render_timeout_s: float = Field(default=60.0, gt=0, description="Seconds after which a picture is given up.")
     start_timeout_s: float = Field(default=300.0, gt=0, description="Seconds within which a render process has to start.")
     calibrate_when_idle: bool = Field(
         default=True,
-        description="Whether a device without a calibration is calibrated while nothing is drawn; else `skugga calibrate` does it.",
+        description="Whether a device without a calibration is calibrated while the service is idle; else run `skugga calibrate`.",
     )
     probe_when_idle: bool = Field(
         default=True,
-        description="Whether levels that maps are drawn of are probed while nothing is drawn; else `skugga select --all-scales "
-        "--write` does it.",
+        description="Whether levels with map requests are probed while the service is idle; else run `skugga select --all-scales "
+        "--write`.",
     )
     recycle_blocks: int = Field(default=1000, ge=1, description="Blocks and snapshots after which a render process is replaced.")
-    block_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="Memory for blocks of tiles, encoded, and snapshots.")
-    tile_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for tiles as they were sent (some 60 KiB each).")
+    block_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="Memory for encoded blocks of tiles and snapshots.")
+    tile_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for encoded tiles as sent (some 60 KiB each).")
     max_snapshot_pixels: int = Field(default=2048 * 2048, ge=1, description="Pixels of a snapshot; more are refused.")
-    max_animation_frames: int = Field(default=720, ge=0, description="Frames of an animation; 0: none is made.")
+    max_animation_frames: int = Field(default=720, ge=0, description="Frames of an animation; 0 disables animations.")
     max_animation_frame_pixels: int = Field(
         default=1920 * 1080, ge=1, description="Pixels of each frame of an animation; more are refused."
     )
     max_animation_pixels: int = Field(
         default=2**27, ge=1, description="Pixels of all frames of an animation together; more are refused."
     )
-    animations_at_a_time: int = Field(default=1, ge=1, le=64, description="Animations that are drawn at a time.")
-    animations_waiting: int = Field(default=4, ge=0, description="Animations that may wait for their turn; more are refused.")
+    animations_at_a_time: int = Field(default=1, ge=1, le=64, description="Animations that are drawn simultaneously.")
+    animations_waiting: int = Field(default=4, ge=0, description="Animations that may wait in the queue; more are refused.")
     animation_abandoned_s: float = Field(
-        default=60.0, gt=0, description="Seconds after which an animation is not drawn any further if nobody has asked about it."
+        default=60.0, gt=0, description="Seconds without a request for an animation after which it is no longer drawn."
     )
     animation_age_s: float = Field(default=3600.0, gt=0, description="Seconds that a finished animation is kept.")
     animations_kept: int = Field(default=32, ge=1, description="Finished animations that are kept, with or without a film.")
     animation_bytes: int = Field(
         default=256 * 2**20,
         ge=2**20,
-        description="Bytes of finished films, which lie in the folder of temporary files.",
+        description="Bytes of finished films, which are stored in the folder of temporary files.",
     )
     max_body_bytes: int = Field(default=2**20, ge=1, description="Bytes of a request's body; more are refused.")
     level_check_s: float = Field(
         default=1.0,
         ge=0,
-        description="Seconds for which it is taken that a level's files have not changed since they were looked at.",
+        description="Seconds between two checks of a level's files for changes.",
     )
     level_timeout_s: float = Field(
-        default=5.0, gt=0, description="Seconds that requests wait for a changed level to be read; then it is served as it was."
+        default=5.0, gt=0, description="Seconds that requests wait for a changed level to be read; then its old version is served."
     )
     time_grain_s: int = Field(
         default=60,
         ge=0,
         le=86400,
-        description="Seconds to whose multiples `time` is rounded, so that more requests share pictures.",
+        description="Seconds to whose multiples `time` is rounded, so that more requests share a picture.",
     )
     new_suns_per_minute: int = Field(
-        default=600, ge=0, description="Suns new to it that one address may ask to be drawn in a minute; 0: no limit."
+        default=600, ge=0, description="New suns that one client address may request in a minute; 0: no limit."
     )
     empty_tile: Literal["transparent", "204", "404"] = Field(
-        default="transparent", description="Answer for a tile inside the zooms but off the data."
+        default="transparent", description="Answer for a tile within the zoom range but outside the data."
     )
     levels: Path | None = Field(
-        default=None, description="Folder whose level files (`.yaml`, `.yml`) are served; the list is read anew on `SIGHUP`."
+        default=None, description="Folder whose level files (`.yaml`, `.yml`) are served; `SIGHUP` reloads the list."
     )
     data_roots: Annotated[tuple[Path, ...], NoDecode] = Field(
         default=(),
-        description="Folders in which level files and data may lie, separated by commas, besides `SKUGGA_LEVELS` and the folders "
+        description="Folders that may contain level files and data, separated by commas, besides `SKUGGA_LEVELS` and the folders "
         "of the files that the service is started with.",
     )
     remote_sources: bool = Field(default=False, description="Whether levels may name rasters that are not local files.")
     expect_renderer: str | None = Field(
-        default=None, description="Text that the OpenGL renderer's name has to contain; else no render process starts."
+        default=None, description="Text that the OpenGL renderer's name must contain; else no render process starts."
     )
     egl_device: str = Field(
         default=AUTO_DEVICE,
-        description="Device to draw with, for all commands: `auto`, `software`, or numbers of devices (`0`, `0,1`), with which "
-        "render processes take turns; `skugga doctor` lists them.",
+        description="Device to draw with, for all commands: `auto`, `software`, or numbers of devices (`0`, `0,1`), among which "
+        "render processes are distributed; `skugga doctor` lists them.",
     )
 
     @field_validator("cors_origins", "data_roots", mode="before")
@@ -148,13 +156,13 @@ class Settings(BaseSettings):
 
 
 _SECRETS = {"api_token"}
-"""Settings whose values are told to nobody."""
+"""Settings whose values are never shown."""
 
 
 def load_settings(**overrides: Any) -> Settings:
-    """Settings of the environment, with the ones given (as from a command line) going before them.
+    """Return the settings of the environment. ``overrides``, such as those of a command line, take precedence.
 
-    Raises ``InputError`` that names the environment variable or the argument.
+    Raises ``InputError``, which names the environment variable or the argument.
     """
     try:
         return Settings(**overrides)
@@ -163,5 +171,7 @@ def load_settings(**overrides: Any) -> Settings:
         field = str(detail["loc"][0])
         name = field if field in overrides else f"SKUGGA_{field.upper()}"
         allowed = detail["msg"].removeprefix("Input should be ")
-        value = Problem("not a value that it may have") if field in _SECRETS else detail["input"]
-        raise InputError(name, value, allowed[:1].lower() + allowed[1:]) from None
+        allowed = allowed[:1].lower() + allowed[1:]
+        if field in _SECRETS:
+            raise InputError(name, Problem("the value is not allowed"), f"Allowed: {allowed}") from None
+        raise InputError(name, detail["input"], allowed) from None

@@ -1,4 +1,4 @@
-"""Functions whose parameters are declared elsewhere: the frameworks that read their signatures see those."""
+"""Decorators that replace a function's ``**asked`` by declared parameters in the signature that frameworks read."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 def takes_parameters(parameters: Sequence[tuple[str, Any]], after: str | None = None) -> Callable[[FunctionT], FunctionT]:
-    """Decorate a function that takes ``**asked``: it shows parameters (names and annotations) in their place.
+    """Return a decorator that replaces ``**asked`` in a function's signature by parameters (names and annotations).
 
-    Each is ``None`` where it is not given. They come last, or ``after`` a parameter of that name.
+    Their default is ``None``. They come last, or ``after`` the parameter of that name.
     """
     shown = [
         inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=annotation)
@@ -35,5 +35,5 @@ def takes_parameters(parameters: Sequence[tuple[str, Any]], after: str | None = 
 def takes_settings(
     front_end: FrontEnd, annotation: Callable[[Setting], Any], after: str | None = None
 ) -> Callable[[FunctionT], FunctionT]:
-    """Decorate a function that takes ``**asked``: it shows the settings of shadows that a front end takes in their place."""
+    """Return a decorator that replaces ``**asked`` in a function's signature by a front end's shadow settings."""
     return takes_parameters([(each.name, annotation(each)) for each in settings_of(Shadows, front_end)], after)

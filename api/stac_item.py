@@ -1,8 +1,10 @@
-"""STAC items: when a satellite saw a scene, where the sun stood, and which cells its pictures have.
+"""STAC items: the acquisition time, the sun and the cell grid of a satellite scene.
 
-The fields are those of the item specification and of its view and projection extensions: ``datetime``, or the middle between
-``start_datetime`` and ``end_datetime``; ``view:sun_azimuth`` and ``view:sun_elevation``, degrees at the scene's middle; and
-``proj:transform``, ``proj:shape`` and ``proj:code`` (or ``proj:epsg``), of the item or of an asset.
+The fields are those of the item specification and of its view and projection extensions:
+
+* ``datetime``, or the middle between ``start_datetime`` and ``end_datetime``;
+* ``view:sun_azimuth`` and ``view:sun_elevation``, degrees at the scene's centre;
+* ``proj:transform``, ``proj:shape`` and ``proj:code`` (or ``proj:epsg``), of the item or of an asset.
 """
 
 from __future__ import annotations
@@ -28,25 +30,34 @@ SUN_FIELDS = ("view:sun_azimuth", "view:sun_elevation")
 
 @dataclass(frozen=True, eq=False)
 class StacItem:
-    """The sun of a scene, and its finest cells, if the item states any."""
+    """The sun and the cell grid of a satellite scene.
+
+    Attributes
+    ----------
+    sun
+        The sun, by its angles or by the acquisition time.
+    cells
+        The finest cell grid; ``None`` if the item states none.
+    """
 
     sun: SunSpec
     cells: RasterCells | None
 
 
 def read_stac_item(path: Path) -> StacItem:
-    """Read an item. Its sun is the one that it states, if it states both angles, else that of its time.
+    """Read an item. Its sun has the stated angles if the item has both; otherwise it follows from the acquisition time.
 
-    Raises ``InputError`` for a file that is no item, and for one that says neither; ``OSError`` where it cannot be read.
+    Raises ``InputError`` for a file that is not an item, or that has neither angles nor a time. Raises ``OSError`` if it cannot be
+    read.
     """
     try:
         item = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise InputError("--stac", Problem(f"{path} is no JSON text ({error})"), "a STAC item") from None
+        raise InputError("--stac", Problem(f"{path} is not JSON ({error})"), "Use a STAC item") from None
     if not isinstance(item, dict) or item.get("type") != "Feature" or not isinstance(item.get("properties"), dict):
         kind = item.get("type") if isinstance(item, dict) else None
         raise InputError(
-            "--stac", Problem(f"{path} is no STAC item" + (f" but a {kind}" if kind else "")), "JSON of the type Feature"
+            "--stac", Problem(f"{path} is not a STAC item" + (f" but a {kind}" if kind else "")), "Use JSON of the type Feature"
         )
     return StacItem(_sun(path, item["properties"]), _finest(path, item))
 
@@ -58,7 +69,7 @@ def _sun(path: Path, properties: Mapping[str, Any]) -> SunSpec:
             return SunSpec(azimuth=azimuth, altitude=elevation)
         except ValidationError:
             raise InputError(
-                f"{path}: {', '.join(SUN_FIELDS)}", f"{azimuth}, {elevation}", "degrees, -90 to 90 of elevation"
+                f"{path}: {', '.join(SUN_FIELDS)}", f"{azimuth}, {elevation}", "degrees, with an elevation from -90 to 90"
             ) from None
     moments = [
         _moment(path, name, properties[name]) for name in ("datetime", "start_datetime", "end_datetime") if properties.get(name)
@@ -70,8 +81,8 @@ def _sun(path: Path, properties: Mapping[str, Any]) -> SunSpec:
         assert start is not None and end is not None
         return SunSpec(time=start + (end - start) / 2)
     raise InputError(
-        "--stac", Problem(f"{path} says neither when it was nor where the sun stood"),
-        f"an item with datetime, with start_datetime and end_datetime, or with {' and '.join(SUN_FIELDS)}",
+        "--stac", Problem(f"{path} has neither a time nor the sun's angles"),
+        f"Use an item with datetime, with start_datetime and end_datetime, or with {' and '.join(SUN_FIELDS)}",
     )  # fmt: skip
 
 
@@ -85,7 +96,7 @@ def _moment(path: Path, name: str, text: Any) -> SunSpec:
 
 
 def _finest(path: Path, item: Mapping[str, Any]) -> RasterCells | None:
-    """The smallest cells that an item states, of its own or of an asset; of equal ones the first."""
+    """Return the grid with the smallest cells of an item and its assets, the first of equal ones."""
     found = list(_all_cells(path, item))
     return min(found, key=lambda cells: abs(cells.transform.determinant), default=None)
 
@@ -106,6 +117,8 @@ def _all_cells(path: Path, item: Mapping[str, Any]) -> Iterator[RasterCells]:
         except (TypeError, ValueError, CRSError):
             stating = f"{code}, {transform}, {shape}"
             raise InputError(
-                f"{path}: proj:code, proj:transform, proj:shape", stating, "a CRS, six or nine numbers, and rows and columns"
+                f"{path}: proj:code, proj:transform, proj:shape",
+                stating,
+                "a CRS, six or nine numbers, and rows and columns",
             ) from None
         yield RasterCells(str(path), crs, Affine(a, b, c, d, e, f), rows, cols)

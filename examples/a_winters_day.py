@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A winter's day in the ridges
 #
-# Where is there shadow, for how long, and from which ridge? Everything here is `import skugga` and arrays. The heights are the SRTM
-# sample that comes with matplotlib, bundled as the level `jacksboro`; `skugga.open_level("dem.tif")` opens a raster of your own.
+# Where does shadow fall, for how long, and from which ridge? This notebook only needs `import skugga` and arrays. The heights are
+# the SRTM sample of matplotlib, bundled as the level `jacksboro`. `skugga.open_level("dem.tif")` opens your own raster.
 
 # %%
 import matplotlib.pyplot as plt
@@ -19,7 +19,7 @@ print(f"{level.shape[1]} x {level.shape[0]} cells, {level.crs.name}, {west:.2f} 
 # %% [markdown]
 # ## Pictures
 #
-# `render` draws a view of the level: shaded relief with cast shadows, in colours.
+# `render` draws a view of the level: coloured relief with cast shadows.
 
 # %%
 picture = level.render(time="2024-12-21T16:15:00-05:00", size=(500, 427))
@@ -32,7 +32,7 @@ plt.show()
 # %% [markdown]
 # ## Masks
 #
-# `shade` answers cell by cell, on the raster's own cells: 0 is shadow, 255 is lit, 128 is off the data. Five moments of the day:
+# `shade` computes a mask on the raster's own cells: 0 is shadow, 255 is lit, 128 is nodata. Five times of the day:
 
 # %%
 fig, axes = plt.subplots(1, 5, figsize=(12, 2.4), layout="constrained")
@@ -45,7 +45,7 @@ plt.show()
 # %% [markdown]
 # ## Hours
 #
-# Counting masks would take hundreds of them. `sun_hours` finds when each cell comes into the sun and leaves it.
+# Counting masks would take hundreds of them. `sun_hours` finds the times at which each cell enters and leaves the sun.
 
 # %%
 hours = level.sun_hours("2024-12-21")
@@ -58,7 +58,7 @@ print(f"median {np.median(hours):.1f} h; {(hours < 4.0).mean():.1%} of the groun
 # %% [markdown]
 # ## At a point
 #
-# In a valley under the ridge: when does the sun come, when does it go, and what stands before it?
+# In a valley below the ridge: when does the sun appear and disappear, and what occludes it?
 
 # %%
 lon, lat = -84.1550, 36.4050
@@ -79,7 +79,7 @@ plt.show()
 # %% [markdown]
 # ## On a map
 #
-# With ipyleaflet, `Map(center=(lat, lon), zoom=11).add(level)` shows the level's tiles in a notebook, cast shadows included.
+# With ipyleaflet, `Map(center=(lat, lon), zoom=11).add(level)` shows the level's tiles with cast shadows in a notebook.
 
 # %%
 level.close()

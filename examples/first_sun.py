@@ -1,4 +1,4 @@
-"""When the sun clears the ridge, along a valley: first and last sun of a winter's day, and what stands before it."""
+"""First and last direct sun of a winter's day along a valley, and the occluder before the first sun."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
-"""How many hours of sun a garden gets on 21 March, before and after a house is built south of it.
+"""Compute a garden's hours of sun on 21 March, before and after a house is built south of it.
 
-Plain arrays of heights, metres: no file, no coordinate reference system.
+The heights are plain arrays in metres, without a file or a coordinate reference system.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Hours of sun of heights that need not fit into memory: an array of dask stays one, and is answered chunk by chunk.
+"""Compute hours of sun for a raster larger than memory. The result of a dask array is a dask array, computed chunk by chunk.
 
 Needs ``pip install 'skugga[xarray]'``.
 """
@@ -8,7 +8,7 @@ import rasterio
 import rioxarray
 import xarray
 
-import skugga  # noqa: F401  # gives every DataArray the accessor ``.skugga``
+import skugga  # noqa: F401  # registers the accessor ``.skugga`` of DataArrays
 
 HILLS_M, CELL_M = 400.0, 30.0
 

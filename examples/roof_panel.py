@@ -1,6 +1,6 @@
-"""What the horizon costs a solar panel: the clear-sky beam on it, with and without what stands before the sun.
+"""Compute the clear-sky beam irradiation of a solar panel, and the share that the horizon occludes.
 
-The horizon goes from Skugga to pvlib as a series by azimuth.
+pvlib gets the horizon profile from Skugga as a series by azimuth.
 """
 
 import numpy as np

@@ -1,13 +1,13 @@
-"""The shadow mask and the cosine of incidence of a satellite scene, for topographic correction.
+"""Compute the shadow mask and the cosine of incidence of a satellite scene, for topographic correction.
 
-The bundled SRTM raster takes the place of a DEM of your own, and the angles are those of the scene's metadata.
+The bundled SRTM raster stands in for your own DEM. The sun's angles come from the scene's metadata.
 """
 
 import numpy as np
 
 import skugga
 
-SUN_AZIMUTH_DEG, SUN_ALTITUDE_DEG = 159.4, 27.3  # as scenes of mid latitudes have in December
+SUN_AZIMUTH_DEG, SUN_ALTITUDE_DEG = 159.4, 27.3  # typical of December scenes at mid latitudes
 
 with skugga.open_level("jacksboro") as level:
     in_scene = {"azimuth": SUN_AZIMUTH_DEG, "altitude": SUN_ALTITUDE_DEG, "crs": "EPSG:32616", "resolution": 30.0}
@@ -18,7 +18,7 @@ ground = mask != 128
 lit = mask == 255
 print(f"{mask.shape[1]} x {mask.shape[0]} cells of 30 m, {(mask[ground] == 0).mean():.2%} of the ground in shadow")
 
-# C correction (Teillet et al. 1982) of a band whose reflectance follows cos i: here one that is made up.
+# C correction (Teillet et al. 1982) of a band whose reflectance follows cos i: here a synthetic one.
 zenith = np.deg2rad(90.0 - SUN_ALTITUDE_DEG)
 band = 0.25 * (0.2 + 0.8 * cos_i) + np.random.default_rng(1).normal(0.0, 0.004, cos_i.shape)
 slope, offset = np.polyfit(cos_i[lit], band[lit], 1)

@@ -1,7 +1,7 @@
-"""Says whether this machine has the system libraries that Skugga needs; exit status 1 and one line if not.
+"""Check whether this machine has the system libraries that Skugga needs; print one line and exit with status 1 if not.
 
-The check is the use itself: the compiled packages are imported and an OpenGL context is made the way the renderer
-makes it, since the presence of a library file says little about whether a driver answers.
+The check imports the compiled packages and creates an OpenGL context like the renderer. The presence of a library file would not
+show whether a driver works.
 """
 
 import importlib
@@ -17,7 +17,7 @@ def main() -> int:
         from skugga.terrain.gl.egl_devices import open_context
 
         context, _ = open_context()
-    except Exception as error:  # whatever is wrong, the caller needs it as one line
+    except Exception as error:  # the caller needs any error on one line
         print(f"skugga: {type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
     major, minor = divmod(context.version_code // 10, 10)

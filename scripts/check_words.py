@@ -1,4 +1,4 @@
-"""Refuse names of the dialect that this code once spoke, and commit subjects that are too long.
+"""Reject private names for which the field has a term, and commit subjects that are too long.
 
 python scripts/check_words.py                     # all Python files under version control
 python scripts/check_words.py FILE...             # some of them
@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 MAX_SUBJECT = 72
-"""Characters of a commit's subject that ``git log --oneline`` shows in a terminal of 80."""
+"""Characters of a commit's subject that ``git log --oneline`` shows in a terminal of 80 columns."""
 
 FIELD_TERMS = {
     r"_?(MOST|LEAST)_[A-Z0-9_]+": "MAX_..., MIN_...",
@@ -35,13 +35,13 @@ FIELD_TERMS = {
     "there": "valid",
     "because": "reason",
 }
-"""Names (regular expressions) that a reader cannot search for, and what the field calls them."""
+"""Private names (regular expressions) and the field's terms for them."""
 
 _FORBIDDEN = {re.compile(pattern): term for pattern, term in FIELD_TERMS.items()}
 
 
 def forbidden_names(path: Path) -> Iterator[tuple[int, str, str]]:
-    """Yield the line, the name and the field's term for each forbidden name of a Python file."""
+    """Yield the line, the name and the field's term for each private name in a Python file."""
     with tokenize.open(path) as file:
         for token in tokenize.generate_tokens(file.readline):
             if token.type == tokenize.NAME:
@@ -51,7 +51,7 @@ def forbidden_names(path: Path) -> Iterator[tuple[int, str, str]]:
 
 
 def subject_problem(message: str) -> str | None:
-    """Return what is wrong with a commit message's subject; ``None`` if nothing is."""
+    """Return the problem of a commit message's subject, in words; ``None`` without one."""
     subject, _, rest = message.partition("\n")
     if len(subject) > MAX_SUBJECT:
         return f"{len(subject)} characters, more than the limit of {MAX_SUBJECT}: {subject}"
@@ -61,7 +61,7 @@ def subject_problem(message: str) -> str | None:
 
 
 def main(arguments: list[str]) -> int:
-    """Print what is forbidden; return the exit status."""
+    """Print all problems; return the exit status."""
     if arguments[:1] == ["--commit-message"]:
         problem = subject_problem(Path(arguments[1]).read_text(encoding="utf-8"))
         if problem is not None:
@@ -73,7 +73,7 @@ def main(arguments: list[str]) -> int:
         (path, *each) for path in paths if path.is_file() and path.name != Path(__file__).name for each in forbidden_names(path)
     ]
     for path, line, name, term in found:
-        print(f"{path}:{line}: the name '{name}' is not of the field. Use: {term}.", file=sys.stderr)
+        print(f"{path}:{line}: '{name}' is not a term of the field. Use: {term}.", file=sys.stderr)
     return int(bool(found))
 
 

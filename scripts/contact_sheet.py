@@ -1,4 +1,4 @@
-"""Renders every view of every bundled level and puts the pictures, each with its name, on one sheet.
+"""Render every view of every bundled level onto one sheet of labelled pictures.
 
 Run it from anywhere: ``python scripts/contact_sheet.py -o docs/images/scenes.webp``.
 """
@@ -25,7 +25,7 @@ from skugga.terrain.scene import Scene, build_scene
 
 SHEET = Path(__file__).parents[1] / "docs" / "images" / "scenes.webp"
 ASPECT = 5 / 4
-"""Width over height of a picture's place on the sheet: that of 1280 x 1024."""
+"""Width over height of a picture's cell on the sheet: that of 1280 x 1024."""
 
 GAP_PX, LABEL_PX, TEXT_PX = 12, 28, 16
 PAPER, INK = (255, 255, 255), (32, 32, 32)
@@ -34,14 +34,14 @@ QUALITIES = range(85, 9, -5)
 
 @dataclass(frozen=True)
 class Labelled:
-    """A picture and the text under it."""
+    """A picture and the label below it."""
 
     picture: Image.Image
     label: str
 
 
 def pictures(levels: Sequence[Path], width: int) -> Iterator[Labelled]:
-    """Every view of some levels; those with the most views first, so that rows of four hold a level each."""
+    """Yield every view of some levels. Levels with the most views come first, so that rows of four hold one level each."""
     loaded = sorted((load_level(path) for path in levels), key=lambda level: -len(level.level.views))
     for scene in map(build_scene, loaded):
         for name in scene.loaded.level.views:
@@ -51,7 +51,7 @@ def pictures(levels: Sequence[Path], width: int) -> Iterator[Labelled]:
 
 
 def rendered(scene: Scene, name: str, width: int) -> Image.Image:
-    """A view of a scene in its own proportions, at most ``width`` pixels wide and ``width / ASPECT`` high."""
+    """Return a view of a scene at its own aspect ratio, at most ``width`` pixels wide and ``width / ASPECT`` high."""
     own = scene.view(name)
     share = min(width / own.cols, width / ASPECT / own.rows)
     size = max(round(own.cols * share), 1), max(round(own.rows * share), 1)
@@ -62,7 +62,7 @@ def rendered(scene: Scene, name: str, width: int) -> Image.Image:
 
 
 def sheet(entries: Sequence[Labelled], columns: int, width: int) -> Image.Image:
-    """The pictures row by row, ``columns`` of them ``width`` pixels wide in each, their labels beneath."""
+    """Return the sheet with ``columns`` pictures a row, each ``width`` pixels wide with its label below."""
     height = round(width / ASPECT)
     step_x, step_y = width + GAP_PX, height + LABEL_PX + GAP_PX
     rows = -(-len(entries) // columns)
@@ -76,7 +76,7 @@ def sheet(entries: Sequence[Labelled], columns: int, width: int) -> Image.Image:
 
 
 def webp(page: Image.Image, most_bytes: int) -> bytes:
-    """The page as WebP in the best quality that keeps it within a size; in the least one if none does."""
+    """Return the page as WebP at the best quality that fits into a size; at the lowest quality if none does."""
     for quality in QUALITIES:
         buffer = BytesIO()
         page.save(buffer, "WEBP", quality=quality, method=6)
@@ -87,11 +87,11 @@ def webp(page: Image.Image, most_bytes: int) -> bytes:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Render every view of the bundled levels onto one sheet.")
-    parser.add_argument("levels", nargs="*", type=Path, help="level files; without any all bundled levels")
+    parser.add_argument("levels", nargs="*", type=Path, help="level files; default: all bundled levels")
     parser.add_argument("-o", "--output", type=Path, default=SHEET, help="the WebP file to write")
     parser.add_argument("--columns", type=int, default=4)
     parser.add_argument("--width", type=int, default=480, help="pixels of a picture")
-    parser.add_argument("--most", type=int, default=600, help="kilobytes that the file may have")
+    parser.add_argument("--most", type=int, default=600, help="upper bound of the file's size, kilobytes")
     given = parser.parse_args()
     try:
         entries = list(pictures(given.levels or bundled_levels(), given.width))

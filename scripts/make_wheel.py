@@ -1,6 +1,6 @@
 """Build a wheel with the viewer and with all loops compiled for x86-64-v3: ``python scripts/make_wheel.py [FOLDER]`` (dist).
 
-The loops are those of this Python and of the installed numba and NumPy. The wheel works with others, too, and compiles there.
+The compiled loops fit this Python and the installed numba and NumPy. With other versions the wheel compiles its loops on first use.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ compile_ahead(PRODUCTS, int(sys.argv[1]))
 for _, name in named_tasks(PRODUCTS):
     shutil.copy(loop_store().folder / (name + SUFFIX), sys.argv[2])
 """
-"""Compiles all loops into the user's store, for another processor than this one, and copies them."""
+"""Script that compiles all loops into the user's store, for another processor than this one, and copies them."""
 
 
 def main(folder: Path) -> None:
-    """Compile, build, and remove what was compiled: a clone compiles for its own processor."""
+    """Compile the loops, build the wheel, and remove the compiled loops: a clone compiles for its own processor."""
     shutil.rmtree(FOLDER, ignore_errors=True)
-    shutil.rmtree(ROOT / "build", ignore_errors=True)  # what an earlier build has left would get into the wheel
+    shutil.rmtree(ROOT / "build", ignore_errors=True)  # leftovers of an earlier build would get into the wheel
     try:
         FOLDER.mkdir()
         cores = str(len(os.sched_getaffinity(0)))

@@ -1,11 +1,11 @@
-"""Record which loops each product needs, with the types that they are called with, into ``terrain/compiling/signatures.json``.
+"""Record the loops that each product needs, with their argument types, in ``terrain/compiling/signatures.json``.
 
     python scripts/record_signatures.py                          # all products, some minutes
-    python scripts/record_signatures.py "hours of sun" points    # the others are left as they are
+    python scripts/record_signatures.py "hours of sun" points    # the others are unchanged
 
-Each product is made in a process of its own with an empty store, so that all that it needs is compiled, callees too. The rasters
-are made here: projected and geographic ones, floats and integers, with and without holes; with trees and buildings the bundled
-levels.
+Each product is computed in its own process with an empty store, so that all its loops are compiled, including callees. The script
+writes the rasters: projected and geographic ones, floats and integers, with and without nodata. Bundled levels cover trees and
+buildings.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TIME = "2024-10-21T16:30:00+00:00"
 
 
 def write_rasters(folder: Path) -> list[Path]:
-    """Write hills: float32 in UTM with holes, int16 in degrees, float32 in a plain of the author's own."""
+    """Write hills: float32 in UTM with nodata, int16 in degrees, and float32 in an engineering CRS."""
     import numpy as np
     import rasterio
     from affine import Affine
@@ -57,7 +57,7 @@ def write_rasters(folder: Path) -> list[Path]:
 
 
 def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[float, float]] = ()) -> None:
-    """Draw tiles of levels: colours at coarse zooms, at the data's own and magnified, under some suns; other layers at one zoom."""
+    """Draw tiles of levels: colours at the coarsest, the native and the finest zoom under some suns; other layers at one zoom."""
     from skugga.api.http.server.first_blocks import first_block
     from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevels
     from skugga.api.matrices import OVERZOOMS
@@ -94,7 +94,7 @@ def _command(*words: object) -> None:
 
 
 def _sun(raster: Path) -> list[object]:
-    """Options of a command that say where the sun is; a flat world knows no time."""
+    """Return a command's options for the sun. A flat world needs angles instead of a time."""
     return ["--azimuth", 237, "--altitude", 12] if raster.stem == "flat" else ["--time", TIME]
 
 
@@ -177,7 +177,7 @@ MAKERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
 
 
 def record(product: str) -> list[tuple[str, Any]]:
-    """Make a product in this process, whose store is empty; return the loops that were compiled, with their encoded types."""
+    """Compute a product in this process, whose store is empty; return the compiled loops with their encoded types."""
     from skugga.terrain.compiling.hooks import compile_lazily
     from skugga.terrain.compiling.loop_cache import recorders
     from skugga.terrain.compiling.signatures import decode_type, encode_type
@@ -186,7 +186,7 @@ def record(product: str) -> list[tuple[str, Any]]:
 
     def note(loop: Any, args: tuple[Any, ...]) -> None:
         function = loop.py_func
-        if "<" in function.__qualname__:  # made within another function: no module has it
+        if "<" in function.__qualname__:  # a closure, which no module can look up
             return
         encoded = [encode_type(each) for each in args]
         assert tuple(map(decode_type, encoded)) == args, (function, args)
@@ -200,12 +200,12 @@ def record(product: str) -> list[tuple[str, Any]]:
 
 
 def main(products: Sequence[str]) -> None:
-    """Record products, each in a process with an empty store, two at a time, and write the list."""
+    """Record products, each in a process with an empty store, two at a time, and write the signatures."""
     from skugga.terrain.compiling.signatures import PATH, recorded_signatures
 
     def recorded(product: str) -> list[tuple[str, Any]]:
         with tempfile.TemporaryDirectory() as store:
-            quick = {"NUMBA_OPT": "1", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"}  # the machine code is thrown away
+            quick = {"NUMBA_OPT": "1", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"}  # the machine code is discarded
             environment = {**os.environ, "NUMBA_CACHE_DIR": store, "XDG_CACHE_HOME": f"{store}/cache", **quick}
             command = [sys.executable, __file__, "--one", product, f"{store}/found.json"]
             subprocess.run(command, env=environment, check=True)

@@ -1,4 +1,4 @@
-"""Write the JSON schemas of plans and descriptors, as the service and ``skugga select --json`` have them, into ``docs/``."""
+"""Write the JSON schemas of plans and descriptors into ``docs/``. The service and ``skugga select --json`` use these models."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MODELS: dict[str, type[BaseModel]] = {"plan.schema.json": Plan, "descriptor.sche
 
 
 def schema_text(model: type[BaseModel]) -> str:
-    """The JSON schema of a model, as its file has it."""
+    """Return the text of a model's JSON schema file."""
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema()}
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 

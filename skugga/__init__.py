@@ -1,4 +1,4 @@
-"""Skugga for users of Python: true cast shadows of terrain, from arrays, rasters and level files.
+"""Compute true cast shadows of terrain from arrays, rasters and level files.
 
     import skugga
 
@@ -10,8 +10,8 @@
 
 With xarray and rioxarray installed, ``import skugga`` gives every DataArray of heights the accessor ``da.skugga``.
 
-``__all__`` lists what is public, beside ``__version__`` and the accessor; modules inside of the package may change without notice.
-Each name is imported when it is first used, so that ``import skugga`` takes no time.
+The public names are those of ``__all__``, ``__version__`` and the accessor. Modules inside the package may change without notice.
+Each name is imported on first use, so ``import skugga`` is fast.
 """
 
 from __future__ import annotations
@@ -58,5 +58,5 @@ else:
 
 __all__ = ["OpenLevel", "SkuggaError", "horizon", "open_heights", "open_level", "shadow", "sun_hours", "sunlit"]
 
-cap_caches()  # before whoever imports this opens a raster, or starts a process that does
+cap_caches()  # before the importing code opens a raster, or starts a process that opens one
 register_accessor()

@@ -170,7 +170,7 @@ def test_a_product_more_is_everywhere(said, tmp_path):
     for status, _, err in found["refused"]:
         assert status == 2 and err.count("\n") == 1 and "gain" in err, err
     status, _, err = found["in perspective"]
-    assert status == 2 and "layer: 'steepness' is not allowed. Allowed: in a perspective view: color" in err
+    assert status == 2 and "layer: 'steepness' is not allowed. Allowed: the layers of a perspective view: color" in err
 
 
 def test_without_its_record_there_is_no_product(said):

@@ -1,1 +1,1 @@
-"""Animations as jobs of a service: asked for, drawn frame by frame, kept for a while, and stopped where nobody asks any more."""
+"""Animations as jobs of a service: queued, drawn frame by frame, kept for a while, and dismissed if no client polls them."""

@@ -1,4 +1,4 @@
-"""One animation: what was asked for, how far it is, and how it ended."""
+"""The record of one animation: its order, its progress and its result."""
 
 from __future__ import annotations
 
@@ -12,23 +12,48 @@ from skugga.api.animations.film_order import FilmOrder
 from skugga.terrain.errors import SkuggaError
 
 AnimationStatus = Literal["accepted", "running", "successful", "failed", "dismissed"]
-"""How far an animation is: the words of OGC API - Processes, part 1 (18-062r2), section 7.12."""
+"""Statuses of OGC API - Processes, part 1 (18-062r2), section 7.12."""
 
 STATUSES: tuple[AnimationStatus, ...] = get_args(AnimationStatus)
 
 
 def now() -> datetime:
-    """The time, to the second."""
+    """Return the current time in UTC, to the second."""
     return datetime.now(UTC).replace(microsecond=0)
 
 
 @dataclass(eq=False)
 class Animation:
-    """A job: ``frames_done`` were drawn of those of its ``order``; ``message`` says why it was dismissed, ``error`` why it failed,
-    and ``film`` is there once it was successful, until it ``expires`` at the latest.
+    """An animation, as a job.
 
-    A frame is expected to take ``frame_s`` seconds. ``running_since_s`` is the event loop's time; ``ending`` is when it is
-    forgotten or, before it has ended, given up.
+    Attributes
+    ----------
+    id
+        The unguessable identifier.
+    order
+        The film that it shows.
+    frame_s
+        Expected seconds for each frame.
+    created, started, updated, finished
+        Times in UTC.
+    status
+        The status.
+    expires
+        The time at which the film is deleted at the latest.
+    frames_done
+        The number of drawn frames.
+    message
+        The reason of a dismissal.
+    error
+        The reason of a failure.
+    film
+        The film of a successful animation.
+    running_since_s
+        The time of the event loop, in seconds, at which drawing began.
+    work
+        The task that draws it.
+    ending
+        The timer that deletes an ended animation, or dismisses an animation that no client asks about.
     """
 
     id: str
@@ -50,29 +75,29 @@ class Animation:
 
     @property
     def film_bytes(self) -> int:
-        """Bytes of its film; 0 where there is none."""
+        """Bytes of the film; 0 without one."""
         return 0 if self.film is None else self.film.nbytes
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more is done for it."""
+        """Whether it is successful, failed or dismissed."""
         return self.status not in ("accepted", "running")
 
     def begin(self, loop_s: float) -> None:
-        """It is its turn."""
+        """Record that drawing begins, at a time of the event loop in seconds."""
         self.status, self.started, self.running_since_s = "running", now(), loop_s
 
     def advance(self, frames_done: int) -> None:
-        """So many frames are drawn."""
+        """Record the number of drawn frames."""
         self.frames_done, self.updated = frames_done, now()
 
     def end(self, status: AnimationStatus, age_s: float, message: str | None = None, error: SkuggaError | None = None) -> None:
-        """Nothing more is done for it; it is forgotten after ``age_s``."""
+        """Record its end with a final status. It expires after ``age_s`` seconds."""
         self.status, self.message, self.error, self.finished = status, message, error, now()
         self.updated, self.expires = self.finished, self.finished + timedelta(seconds=age_s)
 
     def let_go(self) -> None:
-        """Give back what it holds: the film, its timer."""
+        """Release the film, and cancel the timer."""
         if self.ending is not None:
             self.ending.cancel()
         if self.film is not None:

@@ -1,5 +1,4 @@
-"""The animations of a service: one after the other drawn, bounded in number, bytes and age, and given up where nobody asks for
-them any more."""
+"""Queue the animations of a service: draw them in order, bound their number, bytes and age, and dismiss abandoned ones."""
 
 from __future__ import annotations
 
@@ -22,29 +21,29 @@ from skugga.api.exhaustion import exhausted_error, in_thread
 from skugga.api.settings import Settings
 from skugga.api.workers.admission import retry_after_s
 from skugga.terrain.cache import Cache, Missing
-from skugga.terrain.errors import BusyError, InputError, Problem, RenderError, SkuggaError
+from skugga.terrain.errors import BusyError, InputError, RenderError, SkuggaError
 
 ID_BYTES = 16
-"""Of the random number that is an animation's name: nobody guesses one of 2**128."""
+"""Bytes of an animation's random id. 2**128 values cannot be guessed."""
 
 STATE_BYTES = 4096
-"""About what is kept of an animation without its film."""
+"""Estimated bytes of an animation without its film."""
 
 Draw = Callable[[FilmOrder], AsyncGenerator[np.ndarray, None]]
-"""Draws the frames of a film, uint8 (rows, cols, 3), in the event loop."""
+"""Type of a function that draws the frames of a film, uint8 (rows, cols, 3), in the event loop."""
 
 Encode = Callable[[Path, Iterable[np.ndarray], FilmOrder], None]
-"""Writes frames into a file, in a thread. Raises ``OSError``."""
+"""Type of a function that writes frames into a file, in a thread. Raises ``OSError``."""
 
 log = logging.getLogger("skugga")
 
 
 class Animations:
-    """Films that were asked for: drawn by ``draw``, written by ``encode``. To be used from one event loop.
+    """The animations of a service, drawn by ``draw`` and written by ``encode``. Use it from one event loop.
 
-    ``animations_at_a_time`` are drawn, in the order in which they came; others wait. One that nobody asks about for
-    ``animation_abandoned_s`` is dismissed. What has ended is kept for ``animation_age_s``, within ``animations_kept`` and
-    ``animation_bytes``; the one asked about last longest.
+    The settings bound it. ``animations_at_a_time`` animations are drawn at once, first come first served. An animation that no
+    client asks about for ``animation_abandoned_s`` seconds is dismissed. Ended animations are kept for ``animation_age_s`` seconds.
+    Their cache has up to ``animations_kept`` entries and ``animation_bytes`` bytes, and evicts the least recently used.
     """
 
     def __init__(self, settings: Settings, draw: Draw, encode: Encode) -> None:
@@ -64,27 +63,27 @@ class Animations:
 
     @property
     def counts(self) -> dict[AnimationStatus, int]:
-        """How many there are, by their status."""
+        """The number of animations by status."""
         found = [each.status for each in (*self._going.values(), *self._kept.values)]
         return {status: found.count(status) for status in STATUSES}
 
     @property
     def going(self) -> int:
-        """How many are drawn, or wait for that."""
+        """The number of animations that are drawn or in the queue."""
         return len(self._going)
 
     @property
     def kept_bytes(self) -> int:
-        """Bytes of the films that are kept."""
+        """Bytes of the cached films."""
         return sum(each.film_bytes for each in self._kept.values)
 
     def known(self, order: FilmOrder) -> Animation | None:
-        """The animation that there is of an order, while it is drawn or kept: it is asked about by that."""
+        """Return the animation of an order, if it is queued, drawn or cached. This renews its timer as ``get`` does."""
         animation = self._by_order.get(order)
         return None if animation is None else self.get(animation.id)
 
     def check_room(self) -> None:
-        """Raise ``LaterError`` where as many animations wait as may."""
+        """Raise ``LaterError`` if the queue is full, and ``BusyError`` after ``close``."""
         if self._closed:
             raise BusyError("The service is shutting down.")
         waiting = len(self._going) - self._settings.animations_at_a_time
@@ -94,8 +93,9 @@ class Animations:
             raise LaterError(message, retry_after_s(left_s))
 
     def ask(self, order: FilmOrder, frame_s: float) -> Animation:
-        """The animation of an order: the one that is known, or a new one, whose frames may take ``frame_s`` seconds each. Raises as
-        ``check_room`` does.
+        """Return the animation of an order: the existing one, or a new one in the queue.
+
+        ``frame_s`` is the expected time of each frame in seconds. Raises the errors of ``check_room``.
         """
         if (animation := self.known(order)) is not None:
             return animation
@@ -109,18 +109,19 @@ class Animations:
         return animation
 
     def get(self, name: str) -> Animation:
-        """The animation of a name, which is asked about by that. Raises ``NotServedError``."""
+        """Return the animation with an id, and renew the timer that would dismiss it. Raises ``NotServedError``."""
         animation = self._going.get(name)
         if animation is not None:
             self._await_questions(animation)
             return animation
         kept = self._kept.get(name)
         if isinstance(kept, Missing):
-            raise NotServedError("animation", "There is no such animation: its address is another one, or it is not kept any more.")
+            message = "animation: this animation does not exist, or is no longer kept. Request it again."
+            raise NotServedError("animation", message)
         return kept
 
     def dismiss(self, animation: Animation, message: str) -> None:
-        """Stop drawing an animation, or forget its film. What has come to nothing before stays as it was."""
+        """Stop drawing an animation, or delete its film. A failed or dismissed animation stays as it is."""
         if animation.status in ("failed", "dismissed"):
             return
         if animation.work is not None:
@@ -130,7 +131,7 @@ class Animations:
         self._end(animation, "dismissed", message)
 
     def seconds_left(self, animation: Animation) -> float:
-        """How long it is expected to take until an animation is there, those before it included."""
+        """Return the expected seconds until an animation is finished, including those before it in the queue."""
         if animation.ended:
             return 0.0
         before = []
@@ -142,7 +143,7 @@ class Animations:
         return waited_for + self._own_seconds_left(animation)
 
     async def close(self) -> None:
-        """Dismiss all that is drawn, forget all films, and wait until the threads are done with theirs."""
+        """Dismiss all animations, delete all films, and wait for the threads."""
         self._closed = True
         for animation in list(self._going.values()):
             self.dismiss(animation, "The service was stopped.")
@@ -158,15 +159,15 @@ class Animations:
         return (order.span.frames - done) * each_s
 
     def _await_questions(self, animation: Animation) -> None:
-        """Give an animation up unless it is asked about soon."""
+        """Start the timer that dismisses an animation unless a client asks about it."""
         if animation.ending is not None:
             animation.ending.cancel()
         silence_s = self._settings.animation_abandoned_s
-        message = f"Nobody asked about it for {silence_s:g} s (SKUGGA_ANIMATION_ABANDONED_S)."
+        message = f"No client asked for its state for {silence_s:g} s (SKUGGA_ANIMATION_ABANDONED_S)."
         animation.ending = asyncio.get_running_loop().call_later(silence_s, self.dismiss, animation, message)
 
     async def _make(self, animation: Animation) -> None:
-        """Draw an animation when it is its turn. It ends well, or its error says how; a dismissed one is cancelled."""
+        """Draw an animation when a slot is free, and record its film or its error. Dismissal cancels this task."""
         loop = asyncio.get_running_loop()
         try:
             async with self._turns:
@@ -174,14 +175,14 @@ class Animations:
                 film = await self._film(animation)
         except SkuggaError as error:
             self._fail(animation, error)
-        except Exception as error:  # others go on
+        except Exception as error:  # other animations go on
             self._fail(animation, _known_error(animation, error))
         else:
             animation.film = film
             self._end(animation, "successful")
 
     async def _film(self, animation: Animation) -> FilmFile:
-        """The film, whole. However this ends, no more frames are drawn, and the thread is done with the file."""
+        """Return the finished film. On every exit, drawing has stopped and the thread has released the file."""
         loop, order = asyncio.get_running_loop(), animation.order
         frames = FrameHandover(self._draw(order), loop, animation.advance)
         try:
@@ -198,7 +199,7 @@ class Animations:
             await frames.stop()
 
     def _written(self, frames: Iterable[np.ndarray], order: FilmOrder) -> FilmFile:
-        """The film in a file that has no name any more, so that it is gone however this process ends."""
+        """Return the film in an unlinked file, which the system deletes even if this process crashes."""
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
             path = Path(folder) / f"film.{order.format}"
             self._encode(path, frames, order)
@@ -206,8 +207,9 @@ class Animations:
         if film.nbytes <= self._settings.animation_bytes:
             return film
         film.close()
-        allowed = f"films of at most {self._settings.animation_bytes} bytes (the service's SKUGGA_ANIMATION_BYTES)"
-        raise InputError("size", Problem(f"a film of {film.nbytes} bytes"), f"{allowed}: of fewer or smaller frames, or in mp4")
+        limit = f"{self._settings.animation_bytes} bytes (the service's SKUGGA_ANIMATION_BYTES)"
+        remedy = "Use fewer or smaller frames, or the format mp4"
+        raise InputError.over_limit("size", f"the film has {film.nbytes} bytes", limit, remedy)
 
     def _fail(self, animation: Animation, error: SkuggaError) -> None:
         log.warning("animation %s of level %s failed: %s", animation.id, animation.order.level.path.stem, error)
@@ -216,7 +218,7 @@ class Animations:
     def _end(
         self, animation: Animation, status: AnimationStatus, message: str | None = None, error: SkuggaError | None = None
     ) -> None:
-        """Keep an animation that has ended, for its age; only a film that is there stands for its order."""
+        """Record the end of an animation and cache it. Without a film, its order no longer refers to it."""
         if not animation.ended:
             self.ended[status] += 1
         animation.end(status, self._settings.animation_age_s, message, error)
@@ -239,11 +241,14 @@ class Animations:
 
 
 def _known_error(animation: Animation, error: Exception) -> SkuggaError:
-    """What an error of writing a film means: no thread or memory, no room on the disk, or a bug or an encoder's own exception."""
+    """Return the ``SkuggaError`` for an error of writing a film, and log it.
+
+    The cause is a lack of threads or memory, a lack of disk space, or a bug or an exception of the encoder.
+    """
     if (exhausted := exhausted_error(error)) is not None:
         return exhausted
     if isinstance(error, OSError):
         log.error("animation %s: %s", animation.id, error)
-        return StorageError(f"a film cannot be written: {error.strerror or error}")
+        return StorageError(f"the film cannot be written: {error.strerror or error}")
     log.exception("animation %s failed unexpectedly", animation.id)
     return RenderError(f"{type(error).__name__}: {error}")

@@ -1,4 +1,4 @@
-"""The frames of an animation, drawn one after the other by render processes, and its film."""
+"""Draw the frames of an animation one after the other on the worker pool, and write its film."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from skugga.api.workers.pool import Pool
 
 
 def frame_job(order: FilmOrder, number: int, before: CarriedPlans | None = None) -> FrameJob:
-    """The job of a frame of a film, counted from 0."""
+    """Return the job of a frame of a film. ``number`` counts from 0, and ``before`` are the plans of the frame before it."""
     film = {name: getattr(order, name) for name in FrameJob.model_fields if name in FilmOrder.model_fields}
     return FrameJob(**film, number=number, before=before)
 
 
 def frames_drawn_by(pool: Pool, level_now: Callable[[str], Awaitable[LevelKey]]) -> Draw:
-    """What draws films: a frame at a time, so that what others ask for comes between. A frame whose process dies is begun again by
-    the pool, from the same plans.
+    """Return a function that draws the frames of a film on a pool.
 
-    Raises ``LevelChangedError`` where ``level_now``, which is given the level's name, says that it is another one by then, and what
-    it and ``Pool.run`` raise.
+    Each frame is a job, so other requests run between two frames. The pool repeats a frame whose worker crashes, from the same
+    plans. ``level_now`` returns the current key of a level by its name. The function raises ``LevelChangedError`` if that key has
+    changed, and the errors of ``level_now`` and ``Pool.run``.
     """
 
     async def draw(order: FilmOrder) -> AsyncGenerator[np.ndarray, None]:

@@ -1,4 +1,4 @@
-"""A finished film: bytes in a file without a name, which is gone as soon as nobody reads it any more, however this process ends."""
+"""Keep a finished film in an unlinked file, which the system deletes after its last reader, even if this process crashes."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import threading
 from pathlib import Path
 
 CHUNK_BYTES = 2**18
-"""Bytes that are read at a time: between them others have their turn, and a slow client's connection keeps no more."""
+"""Size of one read. Other work runs between two reads, and a slow client's connection buffers no more."""
 
 
 class FilmFile:
-    """The film in a file, whose name may go from now on. It is there until it was closed, and every ``Reading`` of it. To be used
-    from any thread.
+    """A film in an open file, which may be unlinked from now on.
+
+    The file stays open until the film and every ``Reading`` of it are closed. The class is thread-safe.
     """
 
     def __init__(self, path: Path) -> None:
@@ -24,27 +25,27 @@ class FilmFile:
 
     @property
     def gone(self) -> bool:
-        """Whether nobody holds it any more."""
+        """Whether the file is closed, because nothing holds it any more."""
         return self._file.closed
 
     def reading(self, first: int, end: int) -> Reading:
-        """Its bytes from ``first`` to before ``end``, for one client. It may not be closed yet."""
+        """Return a reading of the bytes from ``first`` to before ``end``, for one client. The film must not be closed."""
         with self._lock:
             self._holders += 1
         return Reading(self, first, end)
 
     def part(self, first: int, end: int) -> bytes:
-        """Bytes of it, for whoever holds it. One descriptor serves all: there may be as many clients as connections."""
+        """Return the bytes from ``first`` to before ``end``, for a holder. All clients share one file descriptor."""
         return os.pread(self._file.fileno(), end - first, first)
 
     def close(self) -> None:
-        """Let go of the film; more than once is as good as once."""
+        """Release the film. Further calls do nothing."""
         if not self.closed:
             self.closed = True
             self.let_go()
 
     def let_go(self) -> None:
-        """One holds it no more."""
+        """Release one hold of the file. The last one closes it."""
         with self._lock:
             self._holders -= 1
             if not self._holders:
@@ -52,16 +53,16 @@ class FilmFile:
 
 
 class Reading:
-    """A part of a film as one client reads it, at its own place. It holds the film until it is closed."""
+    """A range of bytes of a film that one client reads, with a position of its own. It holds the film until it is closed."""
 
     def __init__(self, film: FilmFile, first: int, end: int) -> None:
         self._film: FilmFile | None = film
         self._place, self._end = first, end
-        # A client that goes away closes it while a thread may be reading: the descriptor's number is soon another file's.
+        # A disconnecting client closes it while a thread may be reading: the descriptor's number may soon be another file's.
         self._lock = threading.Lock()
 
     def chunk(self) -> bytes:
-        """The next bytes; none at the end, or once it is closed."""
+        """Return the next bytes; none at the end, or after ``close``."""
         with self._lock:
             if self._film is None:
                 return b""
@@ -70,7 +71,7 @@ class Reading:
             return found
 
     def close(self) -> None:
-        """Let go of the film; more than once is as good as once."""
+        """Release the film. Further calls do nothing."""
         with self._lock:
             film, self._film = self._film, None
         if film is not None:

@@ -1,4 +1,4 @@
-"""What an animation shows and how it is written: equal orders are one animation."""
+"""The order of a film: its content and its file format. Equal orders share one animation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ FilmFormat = Literal["webp", "mp4"]
 
 
 class FilmOrder(Film):
-    """A film, the format of its file, and how many frames it shows in a second. ``level_name`` is the level's in addresses."""
+    """A film to draw, with the format of its file and its frames per second. ``level_name`` is the level's name in addresses."""
 
     level_name: str
     format: FilmFormat = "webp"

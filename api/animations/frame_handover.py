@@ -1,4 +1,4 @@
-"""Frames from the event loop to the thread that encodes them: the next one is drawn while the last is encoded."""
+"""Hand frames from the event loop to the thread that encodes them. One frame is drawn while the one before it is encoded."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 class StoppedError(Exception):
-    """Nobody wants the frames any more. It ends the thread's work, and is told to nobody."""
+    """The handover was stopped. The error ends the thread's work and reaches no client."""
 
 
 class _End:
@@ -22,8 +22,9 @@ _END = _End()
 
 
 class FrameHandover(Generic[T]):
-    """Iterates in a thread over what an async generator yields in an event loop, which calls ``handed`` with the count of those
-    that are there. Two are held at most: the one that is used, and the next one.
+    """Iterator in a thread over the items of an async generator in an event loop.
+
+    It holds at most two items: the current one and the next one. The event loop calls ``handed`` with the count of items so far.
     """
 
     def __init__(self, frames: AsyncGenerator[T, None], loop: asyncio.AbstractEventLoop, handed: Callable[[int], None]) -> None:
@@ -33,7 +34,7 @@ class FrameHandover(Generic[T]):
         self._asking: asyncio.Task[T | _End] | None = None
 
     def __iter__(self) -> Iterator[T]:
-        """The frames. Raises ``StoppedError`` once it was stopped, and what the generator raises."""
+        """Yield the frames. Raises ``StoppedError`` after ``stop``, and the errors of the generator."""
         coming = self._ask()
         while True:
             frame = coming.result()
@@ -43,7 +44,7 @@ class FrameHandover(Generic[T]):
             yield frame
 
     async def stop(self) -> None:
-        """Make no more frames: the thread's next question is answered by ``StoppedError``. To be called in the event loop."""
+        """Stop the generator. The thread's next item raises ``StoppedError``. Call it in the event loop."""
         self._stopped = True
         if self._asking is not None:
             self._asking.cancel()

@@ -1,1 +1,1 @@
-"""Skugga from Python: arrays, open levels, xarray's accessor and notebooks. ``skugga`` re-exports what is public."""
+"""The Python API: arrays, open levels, xarray's accessor and notebooks. ``skugga`` re-exports its public names."""

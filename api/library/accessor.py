@@ -1,7 +1,7 @@
-"""``da.skugga`` of xarray: shade of a DataArray of heights, on its own coordinates.
+"""The xarray accessor ``da.skugga``: shadows and sun of a DataArray of heights, on its own coordinates.
 
-Its CRS and geotransform follow rioxarray's conventions. An array of dask stays one: it is written once, chunk by chunk, into a
-temporary raster, and each chunk of the answer is made from there, with casters as far as they reach; never is all of it in memory.
+CRS and geotransform follow rioxarray's conventions. A dask array stays lazy. It is written once, chunk by chunk, to a temporary
+raster. Each chunk of the result is computed from that raster, with all casters within reach. The whole array is never in memory.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.errors import InputError
 
 MOST_OVERVIEW_CELLS = 512
-"""Of the coarsest overview of a temporary raster, a side."""
+"""Smallest size of the longer side of an overview of a temporary raster."""
 
 WITHOUT_OPENGL = next(
     name
     for name, algorithm in ALGORITHMS.items()
     if not algorithm.needs_opengl and any(algorithm.node_fill(settings()) for settings in algorithm.settings)
 )
-"""The algorithm that heights alone suffice for: chunks are made in threads of dask's, and OpenGL has one thread."""
+"""The algorithm that needs heights only, for dask: dask computes chunks in threads, and OpenGL works in one thread."""
 
 
 class SkuggaAccessor:
-    """Questions of sun to heights (y, x), metres, with a CRS by ``rio.write_crs``.
+    """Accessor for shadows and sun of heights (y, x) in metres, with a CRS set by ``rio.write_crs``.
 
-    There is no ground where heights are NaN, masked, or the array's nodata (``rio.nodata``). Its attributes ``scale_factor``,
-    ``add_offset``, ``units``, ``positive`` and ``standard_name`` are heeded as those of a file. Rows and columns may run either
-    way; answers have their order.
+    Cells are without ground if their height is NaN, masked, or the array's nodata (``rio.nodata``). The attributes
+    ``scale_factor``, ``add_offset``, ``units``, ``positive`` and ``standard_name`` count as those of a file. Rows and columns may
+    run in either direction. Results have the order of the array.
     """
 
     def __init__(self, array: xarray.DataArray) -> None:
@@ -58,25 +58,57 @@ class SkuggaAccessor:
         altitude: AltitudeDeg | None = None,
         **shadows: Any,
     ) -> xarray.DataArray:
-        """Where there is shadow, cast or the ground's own: bool, False where there is no ground.
+        """Return which cells lie in shadow, cast or self-shadow.
 
-        The sun is that of a ``time`` (with an offset from UTC, or datetime64 in UTC), or of ``azimuth`` (clockwise from north) and
-        ``altitude``, degrees. Raises ``SkuggaError``, also for arrays that are no grid of heights.
+        Parameters
+        ----------
+        time
+            The time of the sun, with an offset from UTC, or datetime64 in UTC.
+        azimuth, altitude
+            The direction of the sun in degrees, clockwise from north and above the horizon. They replace ``time``.
+        **shadows
+            Keys of a level's ``shadows``, as ``algorithm="shadow_map"``.
+
+        Returns
+        -------
+        xarray.DataArray
+            bool, False without ground.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for an array that is not a grid of heights.
         """
         if time is None and azimuth is None and altitude is None:
-            raise InputError("time", None, "a time, or an azimuth and an altitude")
+            raise InputError.missing("time", "Give a time, or an azimuth and an altitude")
 
         def made(level: OpenLevel, **cells: Any) -> np.ndarray:
             asked = {**({"algorithm": WITHOUT_OPENGL} if cells else {}), **shadows}
             visibility = level.shade("visibility", time=time, azimuth=azimuth, altitude=altitude, **cells, **asked)
-            return visibility < 0.5  # NaN, where there is no ground, is not
+            return visibility < 0.5  # False for NaN, which are cells without ground
 
         return self._answer("shadow", made, np.bool_)
 
     @checked
     def sun_hours(self, date: Date, **rules: Any) -> xarray.DataArray:
-        """How long the sun is seen: float32, NaN where there is no ground. ``rules`` are ``to``, ``window``, ``clock``,
-        ``quantity`` and others of ``OpenLevel.sun_hours``. Raises as ``shadow``.
+        """Return the hours of direct sun, or another quantity of direct sun.
+
+        Parameters
+        ----------
+        date
+            The date, or the first of several dates.
+        **rules
+            ``to``, ``window``, ``clock``, ``quantity`` and other parameters of ``OpenLevel.sun_hours``.
+
+        Returns
+        -------
+        xarray.DataArray
+            float32, NaN without ground.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for an array that is not a grid of heights.
         """
 
         def made(level: OpenLevel, **cells: Any) -> np.ndarray:
@@ -86,15 +118,31 @@ class SkuggaAccessor:
 
     @checked
     def horizon(self, x: float, y: float, height: float = 0.0) -> xarray.DataArray:
-        """The horizon of a point, ``height`` metres above the ground, in the array's own coordinates: elevation angles, degrees, by
-        ``azimuth``, degrees clockwise from true north. Raises as ``shadow``; an array of dask is read at once.
+        """Return the horizon profile of a point. A dask array is read into memory.
+
+        Parameters
+        ----------
+        x, y
+            The point, in the coordinates of the array.
+        height
+            Metres above the ground.
+
+        Returns
+        -------
+        xarray.DataArray
+            Horizon angles in degrees, by ``azimuth`` in degrees clockwise from true north.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for an array that is not a grid of heights.
         """
         with upright_grid(self._array).level() as level:
             found = level.horizon(x, y, height=height, crs=level.crs)
         return xarray.DataArray(found.elevation_deg, dims="azimuth", coords={"azimuth": found.azimuth_deg}, name="horizon")
 
     def _answer(self, name: str, made: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
-        """A DataArray like the heights of what is made of an open level."""
+        """Return a DataArray on the array's coordinates, which ``made`` computes from an open level."""
         grid = upright_grid(self._array)
         if grid.heights.chunks is None:
             with grid.level() as level:
@@ -106,7 +154,7 @@ class SkuggaAccessor:
 
 
 class _Staged:
-    """A temporary raster that chunks are written to, and read from once all are there."""
+    """A temporary raster: dask writes all chunks to it, and then opens it as a level."""
 
     def __init__(self, grid: UprightGrid) -> None:
         folder = tempfile.mkdtemp(prefix="skugga-")
@@ -124,12 +172,12 @@ class _Staged:
         rows, cols = where
         window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
         with self._lock:
-            if self._dataset.closed:  # the answer is computed once more
+            if self._dataset.closed:  # the result is computed a second time
                 return
             self._dataset.write(grid_of_heights(chunk), 1, window=window)
 
     def finished(self, *_: Any) -> _Staged:
-        """Itself, once all is written."""
+        """Finish the raster after all chunks are written, and return self."""
         with self._lock:
             if not self._dataset.closed:
                 steps = [2**n for n in range(1, 20) if max(self._dataset.shape) / 2**n >= MOST_OVERVIEW_CELLS]
@@ -139,10 +187,10 @@ class _Staged:
         return self
 
     def level(self) -> OpenLevel:
-        """The raster as an open level, one for each thread."""
+        """Return the raster as an open level, one for each thread."""
         opened: OpenLevel | None = getattr(self._levels, "opened", None)
         if opened is None:
-            opened = self._levels.opened = open_level(self.path, units="m", positive="up")  # as arrays in memory
+            opened = self._levels.opened = open_level(self.path, units="m", positive="up")  # as for arrays in memory
         return opened
 
 

@@ -1,4 +1,4 @@
-"""Plain arrays of heights: no file, no level, no OpenGL. Shadows are those of a flat world."""
+"""Compute shadows of plain arrays of heights, in a flat world, without files, levels or OpenGL."""
 
 from __future__ import annotations
 
@@ -23,30 +23,40 @@ def shadow(
     lines: Lines = 8,
     cores: Cores = 1,
 ) -> np.ndarray:
-    """Return which nodes of a heightfield lie in shadow, cast or their own.
+    """Return which nodes of a heightfield lie in shadow, cast or self-shadow.
 
     Parameters
     ----------
     height_m
-        Heights (rows, cols), metres, row 0 north. There is no ground where they are masked, not finite, or beyond a million.
+        Heights (rows, cols) in metres, row 0 in the north. Nodes are without ground if they are masked, not finite, or beyond a
+        million.
     cell_m
-        The side of a cell, or its (row, column) sides, metres, more than 0.
+        The side of a cell in metres, more than 0, or its (row, column) sides.
     azimuth_deg, altitude_deg
-        Where the sun stands: clockwise from north, and above the horizon. Below it everything lies in shadow.
+        The direction of the sun: clockwise from north, and above the horizon. At or below the horizon all ground is in shadow.
     lines
-        Lines of sight to a column of nodes. More are more exact: 8 are wrong at 1 node in 10,000 of mountains.
+        Lines of sight per column of nodes. More lines are more exact: 8 are wrong at 1 node in 10,000 in mountains.
     cores
-        Threads.
+        The number of threads.
 
     Returns
     -------
     numpy.ndarray
-        bool (rows, cols), False where there is no ground.
+        bool (rows, cols), False without ground.
 
     Raises
     ------
     SkuggaError
         For a wrong argument, and for arrays that do not fit into memory.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import skugga
+    >>> heights = np.zeros((3, 6))
+    >>> heights[:, 3] = 50.0
+    >>> skugga.shadow(heights, 30.0, azimuth_deg=90.0, altitude_deg=45.0)[1]
+    array([False, False,  True, False, False, False])
     """
     heights = cast(np.ndarray, height_m)
     there = np.isfinite(heights)
@@ -64,9 +74,24 @@ def sunlit(
     lines: Lines = 8,
     cores: Cores = 1,
 ) -> np.ndarray:
-    """Return which nodes of a heightfield see the sun, as ``shadow`` without a rule for the night: bool (rows, cols).
+    """Return which nodes of a heightfield see the sun.
 
-    Parameters and errors are those of ``shadow``. Quads are cut along their higher diagonals.
+    A sun below the horizon counts as any other sun; ``shadow`` treats it as night. Quads of the heightfield are split along their higher diagonals.
+
+    Parameters
+    ----------
+    height_m, cell_m, azimuth_deg, altitude_deg, lines, cores
+        As in ``shadow``.
+
+    Returns
+    -------
+    numpy.ndarray
+        bool (rows, cols).
+
+    Raises
+    ------
+    SkuggaError
+        For a wrong argument, and for arrays that do not fit into memory.
     """
     heights, sides = cast(np.ndarray, height_m), cast(tuple[float, float], cell_m)
     return sweep.sunlit(heights, sides, azimuth_deg, altitude_deg, lines, cores)
@@ -74,9 +99,24 @@ def sunlit(
 
 @checked
 def horizon(height_m: HorizonHeights, cell_m: CellSides, azimuth_deg: AzimuthDeg, lines: Lines = 4, cores: Cores = 1) -> np.ndarray:
-    """Return the altitude above which a sun of an azimuth is seen from the nodes of a heightfield: degrees (rows, cols).
+    """Return the horizon angle of each node of a heightfield towards an azimuth.
 
-    It is -90 where no ground lies towards the sun, and NaN where there is no ground. Parameters and errors are those of ``shadow``.
+    A sun at that azimuth is visible above the horizon angle.
+
+    Parameters
+    ----------
+    height_m, cell_m, azimuth_deg, lines, cores
+        As in ``shadow``.
+
+    Returns
+    -------
+    numpy.ndarray
+        Degrees (rows, cols); -90 if no ground lies towards the sun, NaN without ground.
+
+    Raises
+    ------
+    SkuggaError
+        For a wrong argument, and for arrays that do not fit into memory.
     """
     return horizon_deg(cast(np.ndarray, height_m), cast(tuple[float, float], cell_m), azimuth_deg, lines, cores)
 
@@ -90,23 +130,23 @@ def sun_hours_of_array(
     lon_deg: LongitudeDeg = 0.0,
     **rules: Any,
 ) -> np.ndarray:
-    """Return how long the sun is seen on a heightfield round a place.
+    """Return the hours of direct sun on a heightfield around a place, or another quantity of direct sun.
 
     Parameters
     ----------
     height_m, cell_m
-        As in ``shadow``; north is up in the middle.
+        As in ``shadow``. Columns run north-south in the middle of the heightfield.
     date
-        The date, or the first of many.
+        The date, or the first of several dates.
     lat_deg, lon_deg
-        Where the middle of the heightfield lies.
+        The middle of the heightfield, in degrees.
     **rules
-        Those of ``OpenLevel.sun_hours``.
+        Other parameters of ``OpenLevel.sun_hours``.
 
     Returns
     -------
     numpy.ndarray
-        float32 (rows, cols), hours unless ``rules`` say otherwise, NaN where there is no ground.
+        float32 (rows, cols), NaN without ground; hours, or the unit of the ``quantity``.
 
     Raises
     ------

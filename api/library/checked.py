@@ -1,6 +1,6 @@
-"""Parameters of the library as checked values: a wrong one is one ``SkuggaError``, which names it.
+"""Validate the arguments of the library's functions. A wrong argument raises a ``SkuggaError`` that names it.
 
-``checked`` reads a function's annotations with pydantic; the types here are those that pydantic does not have.
+The decorator ``checked`` validates with pydantic by a function's annotations. This module defines types that pydantic lacks.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ ResultT = TypeVar("ResultT")
 CONFIG = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
 
 SHADOWS = "shadows"
-"""The ``**shadows`` of a function: keys of a level's ``shadows``."""
+"""Name of the parameter ``**shadows``, which takes the keys of a level's ``shadows``."""
 
 
 WORDS = {"path_type": "a path", "string_type": "a text"}
-"""What is allowed, by the type of pydantic's error, where its own words are not for users."""
+"""Phrases of allowed values by pydantic's error types, for errors whose text is not meant for users."""
 
 
 def checked(function: Callable[ParametersT, ResultT]) -> Callable[ParametersT, ResultT]:
-    """Decorate a function: its arguments are checked by its annotations, and converted where they can be.
+    """Return a function that validates and converts its arguments by its annotations.
 
     Raises
     ------
     InputError
-        For a wrong argument, also of a model that the function makes of its arguments; for an unknown key of ``**shadows``.
+        For a wrong argument, an unknown key of ``**shadows``, and a validation error of a model inside the function.
     TypeError
-        As Python does, for arguments that the function does not have.
+        For arguments that the function does not have, as Python does.
     """
     signature = inspect.signature(function)
     adapters: dict[str, TypeAdapter[Any]] = {}
@@ -77,7 +77,7 @@ def checked(function: Callable[ParametersT, ResultT]) -> Callable[ParametersT, R
 
 
 def _refuse(error: ValidationError, values: dict[str, Any], name: str | None = None) -> NoReturn:
-    """Raise what pydantic says as an ``InputError`` of a parameter."""
+    """Raise an error of pydantic as an ``InputError`` of a parameter."""
     detail = error.errors()[0]
     own = detail.get("ctx", {}).get("error")
     if isinstance(own, SkuggaError):
@@ -93,7 +93,7 @@ def _check_shadows(signature: inspect.Signature, keys: dict[str, Any]) -> None:
     for key in keys:
         if key not in Shadows.model_fields:
             own = [each.name for each in signature.parameters.values() if each.name not in ("self", SHADOWS)]
-            raise InputError(key, Problem("unknown parameter"), ", ".join((*own, *Shadows.model_fields)))
+            raise InputError(key, Problem("unknown parameter"), f"Use one of {', '.join((*own, *Shadows.model_fields))}")
 
 
 def _moment(value: Any) -> str:
@@ -116,7 +116,7 @@ def _day(value: Any) -> datetime.date:
     if isinstance(value, datetime.date):
         return value
     if not isinstance(value, str):
-        raise PydanticCustomError("date", "a date of the calendar, as 2024-03-21")
+        raise PydanticCustomError("date", "a date of the calendar, such as 2024-03-21")
     try:
         return parse_date("date", value)
     except InputError as error:
@@ -140,9 +140,9 @@ def _crs(value: Any) -> CRS:
             value = int(value)
         crs = CRS.from_user_input(value.to_wkt() if hasattr(value, "to_wkt") else value)
     except (CRSError, TypeError, ValueError):
-        raise PydanticCustomError("crs", "a CRS that PROJ knows, as EPSG:32616") from None
-    if crs.type_name == "Vertical CRS":  # GDAL's GeoTIFFs make a flat world of it
-        raise PydanticCustomError("crs", "a CRS with x and y, as EPSG:32616: this one has heights alone")
+        raise PydanticCustomError("crs", "a CRS that PROJ knows, such as EPSG:32616") from None
+    if crs.type_name == "Vertical CRS":  # a GeoTIFF of GDAL would make a flat world of it
+        raise PydanticCustomError("crs", "a CRS with x and y, such as EPSG:32616; this one is a vertical CRS")
     return crs
 
 
@@ -192,16 +192,16 @@ def _sides(value: Any) -> tuple[float, float]:
 MIN_CELL_M, MAX_CELL_M = 1e-6, 1e6
 
 MAX_PICTURE_PX = 16384
-"""A side, as of ``--size``."""
+"""Largest side of a picture, as for ``--size``."""
 
 Time = Annotated[datetime.datetime | np.datetime64 | str, PlainValidator(_moment)]
-"""A time with an offset from UTC, or datetime64 in UTC; a function gets it in ISO 8601."""
+"""A time with an offset from UTC, or datetime64 in UTC. The function receives ISO 8601 text."""
 
 Date = Annotated[datetime.date | str, PlainValidator(_day)]
-"""A date; a function gets a ``datetime.date``."""
+"""A date. The function receives a ``datetime.date``."""
 
 AnyCrs = Annotated[Any, PlainValidator(_crs)]
-"""A CRS as pyproj takes it, or one of rasterio; a function gets one of pyproj."""
+"""A CRS in any form that pyproj accepts, or one of rasterio. The function receives a pyproj CRS."""
 
 Bounds = Annotated[tuple[float, float, float, float], PlainValidator(_bounds)]
 """West, south, east, north."""
@@ -210,7 +210,7 @@ Transform = Annotated[Affine, PlainValidator(_transform)]
 """A geotransform, or its six numbers."""
 
 CellSides = Annotated[float | tuple[float, float], PlainValidator(_sides)]
-"""The side of a cell, metres, or its (row, column) sides; a function gets both."""
+"""The side of a cell in metres, or its (row, column) sides. The function receives both sides."""
 
 AzimuthDeg = Annotated[float, Field(ge=-360.0, le=720.0)]
 AltitudeDeg = Annotated[float, Field(ge=-90.0, le=90.0)]
@@ -225,7 +225,7 @@ LeastAltitudeDeg = Annotated[float, Field(ge=-1.0, lt=90.0)]
 HeightM = Annotated[float, Field(ge=0.0, le=1000.0)]
 Resolution = Annotated[float, Field(gt=0.0)]
 Size = Annotated[tuple[int, int], PlainValidator(_size)]
-"""Columns and rows of a picture."""
+"""Columns and rows of a picture, in pixels."""
 
 Cells = Annotated[tuple[slice, slice], PlainValidator(_cells)]
-"""Rows and columns."""
+"""Slices of rows and columns."""

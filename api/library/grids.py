@@ -1,4 +1,4 @@
-"""Arrays in memory as grids of heights: what anybody passes as (rows, cols) becomes float32 with NaN where there is no ground."""
+"""Convert arrays of heights in memory to grids: float32 (rows, cols) with NaN without ground."""
 
 from __future__ import annotations
 
@@ -13,49 +13,64 @@ from skugga.api.library.memory import check_memory
 from skugga.terrain.errors import ArrayError, Problem
 
 MAX_HEIGHT_M = 1e6
-"""As in engineering CRSs: what lies beyond is an unmarked sentinel, as -3.4e38."""
+"""Largest height, as in engineering CRSs. Values beyond it are undeclared nodata values, such as -3.4e38."""
 
 GRID_BYTES, SWEEP_BYTES, HORIZON_BYTES = 10, 15, 42
-"""Of a cell, while an array becomes a raster in memory, and while shadows and horizons are computed of one: its grid, and what was
-measured on 25, 36 and 16 million cells.
+"""Bytes per cell to make a raster in memory, to compute shadows, and to compute horizons.
+
+They include the grid. They were measured on 25, 36 and 16 million cells.
 """
 
 SMALLER = (
-    "fewer cells; or a GeoTIFF, of which skugga.open_level reads what it needs and `skugga shade` writes all; or an array of dask "
-    "with the accessor `.skugga` of xarray"
+    "Use fewer cells, a GeoTIFF, which skugga.open_level reads in parts and `skugga shade` writes whole, or a dask array with the "
+    "accessor `.skugga` of xarray"
 )
-"""How heights are shaded that do not fit into memory."""
+"""Remedy for heights that do not fit into memory."""
 
 
 def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_a_cell: float = GRID_BYTES) -> np.ndarray:
-    """Return an array of heights as float32 (rows, cols), at least so many, NaN where there is no ground: where it is masked, not
-    finite, or beyond ``MAX_HEIGHT_M``. Heights that are all right are not copied.
+    """Return an array of heights as float32 (rows, cols), NaN without ground.
+
+    Cells are without ground if they are masked, not finite, or beyond ``MAX_HEIGHT_M``. A float32 array without such cells is not
+    copied.
+
+    Parameters
+    ----------
+    values
+        The heights in metres.
+    name
+        The name of the parameter, for errors.
+    least
+        The smallest number of rows and of columns.
+    bytes_a_cell
+        Bytes of memory that the work takes for each cell.
 
     Raises
     ------
     ArrayError
-        Where it is no grid of real numbers.
+        If it is not a grid of real numbers.
     InputError
-        Where the work, which takes some bytes a cell, does not fit into memory.
+        If the work does not fit into memory.
     """
     shape = getattr(values, "shape", None)
     if isinstance(shape, tuple) and len(shape) == 2 and all(isinstance(count, int) for count in shape):
         check_memory(name, *shape, bytes_a_cell, SMALLER)
     try:
         array = np.ma.asanyarray(values) if np.ma.isMaskedArray(values) else np.asarray(values)
-    except Exception as error:  # what an object raises that cannot be an array
-        raise ArrayError(name, Problem(f"{type(values).__name__}, {error}"), "an array of heights (rows, cols)") from None
+    except Exception as error:  # objects that cannot become arrays raise any error
+        problem = Problem(f"numpy cannot convert {type(values).__name__}: {error}")
+        raise ArrayError(name, problem, "Use an array of heights (rows, cols)") from None
     if array.dtype.kind == "O":
         try:
             array = array.astype(np.float64)
         except (TypeError, ValueError, OverflowError):
             pass
     if array.ndim != 2 or min(array.shape) < least:
-        raise ArrayError(name, Problem(f"an array of the shape {array.shape}"), f"(rows, cols), at least {least} x {least}")
+        raise ArrayError(name, Problem(f"its shape is {array.shape}"), f"Use (rows, cols), at least {least} x {least}")
     if array.dtype.kind not in "biuf":
-        raise ArrayError(name, Problem(f"an array of the type {array.dtype}"), "real numbers, metres")
+        raise ArrayError(name, Problem(f"its type is {array.dtype}"), "Use real numbers, metres")
     mask = np.ma.getmask(array)
-    with np.errstate(over="ignore"):  # more than float32 holds is no height
+    with np.errstate(over="ignore"):  # values beyond float32 are not heights
         heights = np.ma.getdata(array).astype(np.float32, copy=mask is not np.ma.nomask)
     if mask is not np.ma.nomask:
         heights[mask] = np.nan
@@ -65,7 +80,7 @@ def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_a
 
 
 Heights = Annotated[ArrayLike, PlainValidator(grid_of_heights)]
-"""An array of heights, metres; a function gets a grid (``grid_of_heights``)."""
+"""An array of heights in metres. The function receives a grid (``grid_of_heights``)."""
 
 SweptHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, least=2, bytes_a_cell=SWEEP_BYTES))]
 HorizonHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, least=2, bytes_a_cell=HORIZON_BYTES))]

@@ -1,4 +1,4 @@
-"""Functions that wait for a module: they are called once it has been imported, and do not import it."""
+"""Call functions after a module has been imported, without importing it."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ Hook = Callable[[ModuleType], object]
 
 
 def call_after_import(name: str, hook: Hook) -> Callable[[], None]:
-    """Call ``hook`` with a module as soon as it has been imported, now if it has been already.
+    """Call ``hook`` with a module as soon as it is imported, or now if it is imported already.
 
     Parameters
     ----------
     name
         The full name of the module, which need not be installed.
     hook
-        What is called, once. What it raises, the import raises.
+        A function that is called once. The import raises its errors.
 
     Returns
     -------
     Callable
-        Cancels a hook that has not been called yet.
+        A function that cancels a hook before its call.
     """
     module = sys.modules.get(name)
     if module is not None:
@@ -58,7 +58,7 @@ class _Finder(MetaPathFinder):
             return None
         self._searching.name = name
         try:
-            spec = importlib.util.find_spec(name)  # by all finders, this one apart
+            spec = importlib.util.find_spec(name)  # by all other finders
         finally:
             self._searching.name = None
         if spec is not None and hasattr(spec.loader, "exec_module"):
@@ -74,7 +74,10 @@ _FINDER = _Finder()
 
 
 class _HookedLoader(Loader):
-    """Loads a module with its own loader, which the module has for its loader from then on, and calls a function."""
+    """Loader that loads a module with the module's own loader, and then calls a function.
+
+    The module gets its own loader as ``__loader__``, so nothing else sees this one.
+    """
 
     def __init__(self, loader: Any, loaded: Hook) -> None:
         self._loader, self._loaded = loader, loaded

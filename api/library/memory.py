@@ -1,4 +1,4 @@
-"""Memory: what is free, and whether arrays fit into it before they are made."""
+"""Measure free memory, and check that arrays fit into it before they are allocated."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ CGROUPS = (
     (Path("/sys/fs/cgroup"), "memory.max", "memory.current", "inactive_file"),
     (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
 )
-"""Where a container's limit, its use and the pages that the kernel may drop are (cgroups v2 and v1)."""
+"""Folders of cgroups v2 and v1, with the files of a container's limit and use, and the field of pages that the kernel may drop."""
 
 
 def free_bytes() -> int | None:
-    """Return the bytes of memory that this process can still take; ``None`` where the system does not say."""
+    """Return the bytes of memory that this process can still allocate; ``None`` if the system does not report them."""
     return min(_free(), default=None)
 
 
 def check_memory(name: str, rows: int, cols: int, bytes_a_cell: float, remedy: str) -> None:
-    """Refuse arrays that do not fit into memory.
+    """Raise an error for arrays that do not fit into memory.
 
     Parameters
     ----------
     name
-        The parameter that says how many cells there are.
+        The parameter that determines the number of cells.
     rows, cols
-        Cells of the arrays.
+        The shape of the arrays.
     bytes_a_cell
         Bytes that the work takes for each cell.
     remedy
-        How the same is done in less memory.
+        A way to do the same in less memory, as a sentence without its full stop.
 
     Raises
     ------
     InputError
-        Where they do not fit.
+        If they do not fit.
     """
     needed, free = rows * cols * bytes_a_cell, free_bytes()
     if free is not None and needed > free:

@@ -1,4 +1,4 @@
-"""A level that is open: pictures and rasters of it as arrays, one after the other."""
+"""Compute pictures and rasters of an open level as arrays."""
 
 from __future__ import annotations
 
@@ -59,18 +59,28 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
 ARRAY = "the array"
-"""Name of a raster in memory in messages."""
+"""Name of a raster in memory, for messages."""
 
 SHADED_PRODUCTS = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
-"""Products of the sun of a moment."""
+"""Raster products that depend on the sun of a moment."""
 
-SMALLER_PART = "a part, as cells=np.s_[:4096, :4096]; or a file: `skugga shade` and `skugga sunhours` write rasters of any size"
+SMALLER_PART = "Use a part, as cells=np.s_[:4096, :4096], or a file: `skugga shade` and `skugga sunhours` write rasters of any size"
 
 
 class OpenLevel:
-    """A level's scene. To be closed, or used by ``with``; not to be shared between threads.
+    """An open level, which computes pictures and rasters as arrays.
 
-    Arrays on its own cells, or on those of another raster, have that raster's order; all others have row 0 in the north.
+    Close it, or use it in a ``with`` statement. Do not share it between threads. Arrays on the level's own cells, or on those of
+    another raster, have the order of that raster. All other arrays have row 0 in the north.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import skugga
+    >>> heights = np.zeros((4, 5), np.float32)
+    >>> with skugga.open_heights(heights, (30.0, 0.0, 500000.0, 0.0, -30.0, 5200000.0), "EPSG:32633") as level:
+    ...     level.shape
+    (4, 5)
     """
 
     def __init__(self, scene: Scene, held: MemoryFile | None = None) -> None:
@@ -83,37 +93,37 @@ class OpenLevel:
     @property
     def _scene(self) -> Scene:
         if self._open is None:
-            raise InputError("level", Problem("it is closed"), "a level that is open")
+            raise InputError("level", Problem("it is closed"), "Open it again")
         return self._open
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """The name of the level."""
         return self._scene.loaded.name
 
     @property
     def path(self) -> Path:
-        """The file that it was opened from."""
+        """The file of the level."""
         return self._scene.loaded.path
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was noticed when it was opened, as a collar that the raster does not declare."""
+        """Warnings from opening the level, for example of a collar that the raster does not declare."""
         return self._scene.warnings
 
     @property
     def crs(self) -> CRS:
-        """The CRS of its own grid."""
+        """The CRS of the level's own grid."""
         return self._own.crs
 
     @property
     def transform(self) -> Affine:
-        """The geotransform of its own grid."""
+        """The geotransform of the level's own grid."""
         return self._own.transform
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of its own grid."""
+        """Rows and columns of the level's own grid."""
         return self._own.shape
 
     @checked
@@ -133,13 +143,43 @@ class OpenLevel:
         slope_exaggeration: float | None = None,
         **shadows: Any,
     ) -> np.ndarray:
-        """A layer of one of the level's views: uint8 (rows, cols, 4) of ``color`` and ``shadow``, (rows, cols) of ``mask``; else as
-        ``skugga render --help`` tells.
+        """Render a layer of a view of the level.
 
-        The sun is that of a ``time`` (with an offset from UTC, or datetime64 in UTC), or of ``azimuth`` and ``altitude``, degrees;
-        else the level's own. ``size`` is (columns, rows); ``bounds`` are west, south, east, north in ``crs``. ``style`` is a named
-        one, ``slope_exaggeration`` multiplies slopes in shading alone. ``shadows`` are the keys of a level's ``shadows``, as
-        ``algorithm="shadow_volume"``. Raises ``SkuggaError``.
+        Parameters
+        ----------
+        view
+            The name of a view.
+        layer
+            The layer: ``color``, ``shadow``, ``mask`` or another one that ``skugga render --help`` lists.
+        time
+            The time of the sun, with an offset from UTC, or datetime64 in UTC.
+        azimuth, altitude
+            The direction of the sun in degrees, instead of ``time``. The default is the level's own sun.
+        size
+            (columns, rows) of the picture.
+        bounds
+            West, south, east and north in ``crs``.
+        crs
+            The CRS, in any form that pyproj accepts.
+        seconds
+            The time on the clock of moving objects; default: the level's.
+        style
+            The name of a style.
+        slope_exaggeration
+            A factor of slopes, in shading only.
+        **shadows
+            Keys of a level's ``shadows``, as ``algorithm="shadow_volume"``.
+
+        Returns
+        -------
+        numpy.ndarray
+            uint8 (rows, cols, 4) for ``color`` and ``shadow``, uint8 (rows, cols) for ``mask``. ``skugga render --help`` describes the
+            others.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, or if rendering fails.
         """
         scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration).at_second(seconds)
         product, seen = product_named(layer), scene.view(view, bounds, _named(crs), size)
@@ -167,12 +207,35 @@ class OpenLevel:
         slope_exaggeration: float | None = None,
         **shadows: Any,
     ) -> Iterator[np.ndarray]:
-        """The pictures of a film, uint8 (rows, cols, 3), each drawn when it is taken; all are looked at before this returns.
+        """Return an iterator of the pictures of a film.
 
-        ``start`` and ``end`` are times (with an offset from UTC, or datetime64 in UTC), between which the sun moves, or readings of
-        the level's clock as ``0s``, under a sun that rests; ``step`` is what lies between two pictures, as ``10m``. ``path`` is a
-        camera file: a camera that moves. ``fps`` pictures a second make the step of a film that plays at its own pace. The rest is
-        as in ``render``. Raises ``SkuggaError``.
+        All pictures are checked before this returns. Each one is drawn when the iterator reaches it.
+
+        Parameters
+        ----------
+        view
+            The name of a view.
+        start, end
+            Times of a moving sun, with an offset from UTC, or datetime64 in UTC. Or readings of the level's clock, as ``0s``, with a
+            fixed sun.
+        step
+            The time between two pictures, as ``10m``.
+        path
+            A camera file, for a moving camera.
+        fps
+            Pictures per second. They define the step of a film in real time.
+        time, azimuth, altitude, size, bounds, crs, seconds, style, slope_exaggeration, **shadows
+            As in ``render``.
+
+        Returns
+        -------
+        Iterator[numpy.ndarray]
+            Pictures, uint8 (rows, cols, 3).
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, or if drawing fails.
         """
         way = None if path is None else load_camera_path(path)
         span = film_span(_iso(start), _iso(end), step, fps, way, seconds)
@@ -197,13 +260,38 @@ class OpenLevel:
         cells: Cells | None = None,
         **shadows: Any,
     ) -> np.ndarray:
-        """A raster of shade on the level's own cells, those of ``like``, or square ones of a ``resolution`` in ``crs``.
+        """Compute a raster of shadow or light for a moment.
 
-        ``layer`` is ``mask``, ``visibility``, ``cosi``, ``color`` or ``shadow``. Arrays are (rows, cols), or (rows, cols, 4) of the
-        last two. The sun is as in ``render``. ``cells`` are rows and columns of the level's own (``shape``), as
-        ``np.s_[:512, 512:1024]``.
+        The default cells are the level's own.
 
-        Raises ``SkuggaError``, also for arrays that do not fit into memory.
+        Parameters
+        ----------
+        layer
+            ``mask``, ``visibility``, ``cosi``, ``color`` or ``shadow``.
+        time, azimuth, altitude
+            The sun, as in ``render``.
+        bounds
+            West, south, east and north in ``crs``.
+        crs
+            The CRS of the cells, in any form that pyproj accepts.
+        resolution
+            The side of square cells, in units of ``crs``.
+        like
+            A raster file whose cells are used.
+        cells
+            Slices of the level's own rows and columns (``shape``), as ``np.s_[:512, 512:1024]``.
+        **shadows
+            Keys of a level's ``shadows``.
+
+        Returns
+        -------
+        numpy.ndarray
+            (rows, cols), or (rows, cols, 4) for ``color`` and ``shadow``.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for arrays that do not fit into memory.
         """
         product_named(layer, SHADED_PRODUCTS)
         request = ProductRequest(product=layer, sun=_sun(time, azimuth, altitude))
@@ -224,10 +312,27 @@ class OpenLevel:
         cells: Cells | None = None,
         **options: Any,
     ) -> np.ndarray:
-        """Compute any product as a raster (rows, cols) or (rows, cols, bands), by its name: ``mask``, ``height``, ``sunhours``, ...
+        """Compute any product as a raster, by its name.
 
-        ``options`` are those of the product, as ``date="2024-03-21"`` of ``sunhours``; of one that shows shadows also the keys of a
-        level's ``shadows``. Sun and cells are as in ``shade``. Raises ``SkuggaError``, also for arrays that do not fit into memory.
+        Parameters
+        ----------
+        product
+            The name of the product: ``mask``, ``height``, ``sunhours``, ...
+        time, azimuth, altitude, bounds, crs, resolution, like, cells
+            As in ``shade``.
+        **options
+            Options of the product, as ``date="2024-03-21"`` of ``sunhours``. A product with shadows also takes the keys of a level's
+            ``shadows``.
+
+        Returns
+        -------
+        numpy.ndarray
+            (rows, cols) or (rows, cols, bands).
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for arrays that do not fit into memory.
         """
         named = product_named(product, RASTER_PRODUCTS, "product")
         shadows = {name: value for name, value in options.items() if named.needs and name in Shadows.model_fields}
@@ -255,14 +360,44 @@ class OpenLevel:
         like: Path | None = None,
         cells: Cells | None = None,
     ) -> np.ndarray:
-        """How long the sun is seen, float32 (rows, cols), NaN where there is no surface: ``hours`` (the mean of the dates),
-        ``first`` or ``last`` sun (minutes from midnight by the clock), the ``longest`` spell (hours) or the number of ``days``
-        with at least ``threshold_h`` hours.
+        """Compute hours of direct sun, or another quantity of direct sun, as a raster.
 
-        Counted is sun at least ``least_altitude`` degrees high, seen from ``height`` metres above the ground, in a daily
-        ``window`` of the dates from ``date`` to ``to``. ``clock`` is ``solar``, ``utc``, an offset or a zone as ``Europe/Oslo``;
-        the sun is looked for every ``step_min`` minutes (``None``: as often as hours need to be right on that ground), and
-        crossings in between are found. Cells are as in ``shade``. Raises ``SkuggaError``.
+        Parameters
+        ----------
+        date
+            The date, or the first of several dates.
+        to
+            The last of several dates.
+        every_days
+            Days between two of several dates.
+        window
+            The part of each date that counts, as ``08:00-16:00``.
+        clock
+            The clock of date and window: ``solar``, ``utc``, an offset, or a zone such as ``Europe/Oslo``.
+        quantity
+            ``hours`` (mean of the dates), ``first`` or ``last`` (sun of any date, minutes from midnight by the clock), ``longest``
+            (longest unbroken sun, hours), or ``days`` (number of days with at least ``threshold_h`` hours of sun).
+        step_min
+            Minutes between two tested suns; ``None``: as short as accurate hours need on this ground. Crossings of the horizon
+            between two suns are interpolated.
+        threshold_h
+            Hours of sun from which a day counts.
+        least_altitude
+            The smallest altitude of a sun that counts, in degrees.
+        height
+            Height of the observer above the ground in metres.
+        bounds, crs, resolution, like, cells
+            As in ``shade``.
+
+        Returns
+        -------
+        numpy.ndarray
+            float32 (rows, cols), NaN without a surface.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, and for arrays that do not fit into memory.
         """
         options = {
             "date": date, "to": to, "every_days": every_days, "window": window, "clock": clock, "quantity": quantity,
@@ -284,8 +419,34 @@ class OpenLevel:
         year: int | None = None,
         crs: AnyCrs | None = None,
     ) -> PointReport:
-        """The sun at a point, ``height`` metres above the ground: now (``time``), on a day, and on each day of a year. With a
-        ``crs``, as pyproj takes it, ``lon`` and ``lat`` are x and y of it. Raises ``SkuggaError``.
+        """Report the sun at a point: at a time, on a day, and on each day of a year.
+
+        Parameters
+        ----------
+        lon, lat
+            The point in degrees, or its x and y in ``crs``.
+        time
+            The time, as in ``render``.
+        date
+            The day.
+        clock
+            The clock of the day, as in ``sun_hours``.
+        height
+            Metres above the ground.
+        year
+            A year, for the hours of sun of each of its days.
+        crs
+            The CRS of ``lon`` and ``lat``, in any form that pyproj accepts.
+
+        Returns
+        -------
+        PointReport
+            The report.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument.
         """
         scene = self._scene.with_sun(_sun(time, None, None))
         query = PointQuery(lon=lon, lat=lat, height=height, date=cast("datetime.date | None", date), clock=clock, year=year)
@@ -293,8 +454,22 @@ class OpenLevel:
 
     @checked
     def horizon(self, lon: float, lat: float, *, height: float = 0.0, crs: AnyCrs | None = None) -> PointHorizon:
-        """The horizon of a point in 720 directions, by ground, buildings and trees: ``azimuth_deg`` clockwise from true north, and
-        ``elevation_deg``. The point is as in ``point``. Raises ``SkuggaError``.
+        """Return the horizon profile of a point in 720 directions, from ground, buildings and trees.
+
+        Parameters
+        ----------
+        lon, lat, height, crs
+            The point, as in ``point``.
+
+        Returns
+        -------
+        PointHorizon
+            ``azimuth_deg``, clockwise from true north, and ``elevation_deg``.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument.
         """
         query = PointQuery(lon=lon, lat=lat, height=height)
         return horizon_profile(around_point(self._scene, query, crs))
@@ -309,10 +484,28 @@ class OpenLevel:
         altitude: AltitudeDeg | None = None,
         **shadows: Any,
     ) -> Any:
-        """The level as a layer of an ipyleaflet map, served by a process on this machine: ``map.add(level)`` calls it.
+        """Return the level as a layer of an ipyleaflet map. ``map.add(level)`` calls this method.
 
-        ``layer`` is ``color``, ``shadow`` (to lie over another map) or ``mask``; the sun and ``shadows`` are as in ``render``.
-        Raises ``SkuggaError``, and ``ImportError`` without ipyleaflet.
+        A process on this machine serves the tiles.
+
+        Parameters
+        ----------
+        layer
+            ``color``, ``shadow`` (an overlay for another map) or ``mask``.
+        time, azimuth, altitude, **shadows
+            As in ``render``.
+
+        Returns
+        -------
+        ipyleaflet.TileLayer
+            The layer.
+
+        Raises
+        ------
+        SkuggaError
+            For a wrong argument, or if the tile service does not start.
+        ImportError
+            Without ipyleaflet.
         """
         from ipyleaflet import TileLayer
 
@@ -331,7 +524,7 @@ class OpenLevel:
         place: tuple[Bounds | None, CRS | None, float | None, Path | None, tuple[slice, slice] | None],
         shadows: dict[str, Any],
     ) -> np.ndarray:
-        """Compute a raster by a request."""
+        """Compute a raster for a request on the cells of ``place``."""
         product = request.record
         raster = self._raster(*place, np.dtype(product.dtype).itemsize * product.bands)
         return raster_array(self._scene, raster, request, shadows)
@@ -345,13 +538,13 @@ class OpenLevel:
         cells: tuple[slice, slice] | None,
         bytes_a_cell: int,
     ) -> RasterView:
-        """The cells of an array that fits into memory."""
+        """Return the cells of an array. Raises ``InputError`` for an array that does not fit into memory."""
         if cells is None:
             raster = raster_view(self._scene, bounds, _named(crs), resolution, like)
         else:
             for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution), ("like", like)):
                 if value is not None:
-                    raise InputError(name, value, "nothing beside cells: they are the level's own")
+                    raise InputError.conflict(name, "cells", "Use one of them; cells are the level's own")
             (top, bottom, _), (left, right, _) = (part.indices(count) for part, count in zip(cells, self.shape, strict=True))
             if top >= bottom or left >= right:
                 raise InputError("cells", cells, f"rows and columns of the level's own {self.shape[0]} x {self.shape[1]}")
@@ -362,7 +555,7 @@ class OpenLevel:
     def _service(self) -> TileService:
         if self._served is None:
             path = self.path
-            if self._held is not None:  # memory that another process cannot read
+            if self._held is not None:  # another process cannot read this memory
                 self._folder = TemporaryDirectory(prefix="skugga-")
                 path = Path(self._folder.name) / "heights.tif"
                 path.write_bytes(self._held.getbuffer())
@@ -370,7 +563,7 @@ class OpenLevel:
         return self._served
 
     def close(self) -> None:
-        """Close its files, and end its tile service."""
+        """Close the files and end the tile service."""
         if self._served is not None:
             self._served.close()
         if self._folder is not None:
@@ -398,9 +591,32 @@ def open_level(
     units: str | None = None,
     positive: str | None = None,
 ) -> OpenLevel:
-    """Open a level: a bundled one by its name, a level file, or a raster of heights, if wanted with ``canopy`` heights or trees,
-    footprints of ``buildings``, the value of cells without a height, the unit of heights (``m``, ``ft``, ``us-ft``, ...), and
-    whether they grow ``up`` or ``down``. Raises ``SkuggaError``.
+    """Open a level: a bundled level, a level file, or a raster of heights.
+
+    Parameters
+    ----------
+    source
+        The name of a bundled level, or the path of a level file or a raster.
+    canopy
+        A file of canopy heights or trees, for a raster.
+    buildings
+        A file of footprints of buildings, for a raster.
+    nodata
+        The value of cells without a height.
+    units
+        The unit of heights: ``m``, ``ft``, ``us-ft``, ...
+    positive
+        Whether heights grow ``up`` or ``down``.
+
+    Returns
+    -------
+    OpenLevel
+        The level, to be closed or used in a ``with`` statement.
+
+    Raises
+    ------
+    SkuggaError
+        For a wrong argument or file.
     """
     stated = {"units": parse_units("units", units), "positive": parse_positive("positive", positive)}
     level = LevelSource(path=find_level(str(source)), canopy=canopy, buildings=buildings, nodata=nodata, **stated)
@@ -409,19 +625,36 @@ def open_level(
 
 @checked
 def open_heights(height_m: Heights, transform: Transform, crs: AnyCrs) -> OpenLevel:
-    """Open an array of heights (rows, cols), metres, as a level: its geotransform, and its CRS as pyproj takes it.
+    """Open an array of heights as a level.
 
-    There is no ground where the array is masked, not finite, or beyond a million. Raises ``SkuggaError``.
+    Parameters
+    ----------
+    height_m
+        Heights (rows, cols) in metres. Cells are without ground if they are masked, not finite, or beyond a million.
+    transform
+        The geotransform, or its six numbers.
+    crs
+        The CRS, in any form that pyproj accepts.
+
+    Returns
+    -------
+    OpenLevel
+        The level, to be closed or used in a ``with`` statement.
+
+    Raises
+    ------
+    SkuggaError
+        For a wrong argument.
     """
     return level_of_heights(cast(np.ndarray, height_m), transform, crs)
 
 
 def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLevel:
-    """Open a grid of heights (``grid_of_heights``), metres, as a level. Raises ``InputError``."""
+    """Open a grid of heights in metres (``grid_of_heights``) as a level. Raises ``InputError``."""
     held = MemoryFile(filename="heights.tif")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused with a sentence
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # load_level raises an error for it
             with held.open(
                 driver="GTiff", height=heights.shape[0], width=heights.shape[1], count=1, dtype="float32", nodata=float("nan"),
                 crs=crs.to_wkt(), transform=transform, bigtiff="if_safer",
@@ -449,4 +682,4 @@ def _sun(time: Time | None, azimuth: float | None, altitude: float | None) -> Su
 
 
 def _iso(time: Time | None) -> str | None:
-    return cast("str | None", time)  # by its type
+    return cast("str | None", time)  # ``Time`` converts it to text

@@ -1,4 +1,4 @@
-"""``da.skugga`` as xarray knows it: registered once xarray is there, and imported once it is used."""
+"""Register the accessor ``da.skugga`` when xarray is imported. The accessor itself is imported on first use."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
 
 
 def register_accessor() -> None:
-    """Give DataArrays ``da.skugga`` as soon as somebody imports xarray, now if somebody has; xarray is not imported for it."""
+    """Register ``da.skugga`` as soon as xarray is imported, or now if it is imported already. This does not import xarray."""
     call_after_import("xarray", _register)
 
 
 def _register(xarray: ModuleType) -> None:
-    """Register the accessor, and ``da.rio``, which tells the CRS of its arrays; neither where rioxarray is not installed."""
+    """Register the accessor and ``da.rio``, which holds the CRS of arrays; neither if rioxarray is not installed."""
     try:
         import rioxarray  # noqa: F401  # registers ``da.rio``
     except ImportError:
         return
-    if getattr(xarray.DataArray, "skugga", None) is not _accessor:  # ``skugga`` may be imported anew
+    if getattr(xarray.DataArray, "skugga", None) is not _accessor:  # ``skugga`` may be imported again
         xarray.register_dataarray_accessor("skugga")(_accessor)
 
 
 def _accessor(array: xarray.DataArray) -> SkuggaAccessor:
-    """Questions of sun to heights (y, x), metres, with a CRS by ``rio.write_crs``: ``shadow``, ``sun_hours`` and ``horizon``."""
+    """Compute ``shadow``, ``sun_hours`` and ``horizon`` of heights (y, x) in metres, with a CRS set by ``rio.write_crs``."""
     from skugga.api.library.accessor import SkuggaAccessor
 
     return SkuggaAccessor(array)

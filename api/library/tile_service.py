@@ -1,4 +1,4 @@
-"""A tile service of one level for notebooks, in a process of its own."""
+"""Run a tile service of one level for notebooks, in a separate process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from urllib.request import urlopen
 from skugga.terrain.errors import RenderError
 
 READY_S = 600.0
-"""How long it may take to start: with empty caches it compiles for some minutes."""
+"""Timeout of the start. With empty caches the service compiles for some minutes."""
 
 WHEN_IDLE = "SKUGGA_CALIBRATE_WHEN_IDLE", "SKUGGA_PROBE_WHEN_IDLE"
 
@@ -27,26 +27,27 @@ ASKED_EVERY_S = 0.1
 
 
 class TileService:
-    """Serves a level file or a raster on this machine, until it is closed or nobody holds it. Raises ``RenderError`` where the
-    service does not start.
+    """A local service of a level file or a raster. It ends on ``close``, or when the object is garbage collected.
+
+    The constructor raises ``RenderError`` if the service does not start.
     """
 
     def __init__(self, level: Path) -> None:
         self.name = level.stem
-        self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115  # as long as the process
+        self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115  # open as long as the process runs
         port = _free_port()
         self.address = f"http://127.0.0.1:{port}"
         command = "from skugga.api.cli.main import main; main()"
         process = subprocess.Popen(
             [sys.executable, "-c", command, "serve", str(level), "--port", str(port)],
-            env={**dict.fromkeys(WHEN_IDLE, "false"), **os.environ},  # the notebook beside it is not idle
+            env={**dict.fromkeys(WHEN_IDLE, "false"), **os.environ},  # the notebook process is not idle
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._said,
         )  # fmt: skip
         self._end = weakref.finalize(self, _end, process, self._said)
         self._wait(process)
 
     def tile_json(self, query: str) -> dict[str, Any]:
-        """The TileJSON of its Web Mercator tiles under a query. Raises ``RenderError``."""
+        """Return the TileJSON of its Web Mercator tiles for a query string. Raises ``RenderError``."""
         address = f"{self.address}/levels/{quote(self.name)}/WebMercatorQuad/tilejson.json?{query}"
         try:
             with urlopen(address) as answer:

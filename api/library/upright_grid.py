@@ -1,4 +1,4 @@
-"""DataArrays of heights as upright grids: rows from north to south, columns from west to east, NaN where there is no ground."""
+"""Convert DataArrays of heights to upright grids: rows from north to south, columns from west to east, NaN without ground."""
 
 from __future__ import annotations
 
@@ -24,14 +24,26 @@ from skugga.terrain.level.parts import METRES_PER_UNIT
 ARRAY = "the array"
 
 MAX_UNEVEN_CELLS = 0.1
-"""How far coordinates may be from even ones, in cells: those in float32 are rounded."""
+"""Tolerance of evenly spaced coordinates, in cells. Coordinates in float32 are rounded."""
 
-CHUNKED = "fewer cells; or chunks, as of da.chunk({'y': 2048, 'x': 2048}) and of rioxarray.open_rasterio(FILE, chunks=2048)"
+CHUNKED = "Use fewer cells, or chunks: da.chunk({'y': 2048, 'x': 2048}), rioxarray.open_rasterio(FILE, chunks=2048)"
 
 
 @dataclass(frozen=True, eq=False)
 class UprightGrid:
-    """Heights (y, x), metres upwards, where they lie, and what turns an answer back to how the array lies."""
+    """Heights of an array in upright order.
+
+    Attributes
+    ----------
+    heights
+        Heights (y, x), metres upwards, NaN without ground.
+    transform
+        The geotransform.
+    crs
+        The CRS.
+    flips
+        Slices by dimension that restore the order of the array.
+    """
 
     heights: xarray.DataArray
     transform: Affine
@@ -39,34 +51,36 @@ class UprightGrid:
     flips: dict[Any, slice]
 
     def level(self) -> OpenLevel:
-        """The heights in memory as an open level. Raises ``InputError``."""
+        """Read the heights into memory and open them as a level. Raises ``InputError``."""
         return level_of_heights(grid_of_heights(self.heights.to_numpy(), ARRAY), self.transform, self.crs)
 
 
 def upright_grid(array: xarray.DataArray) -> UprightGrid:
-    """Return the heights of an array.
+    """Return the heights of an array as an upright grid.
 
-    What rioxarray tells of it is heeded: dimensions, CRS and geotransform, nodata, ``scale_factor``, ``add_offset``, ``units`` and
-    ``positive``.
+    It follows rioxarray's conventions for dimensions, CRS, geotransform and nodata, and the attributes ``scale_factor``,
+    ``add_offset``, ``units`` and ``positive``.
 
     Raises
     ------
     ArrayError
-        Where the array is no grid of real numbers.
+        If the array is not a grid of real numbers.
     InputError
-        Where it does not say where it lies, or its cells are not even.
+        If the array is not georeferenced, or its cells are not evenly spaced.
     """
     if array.ndim != 2:
-        raise ArrayError(ARRAY, Problem(f"the dimensions {array.dims}"), "two, y and x: da.squeeze(), da.isel(...) leave them")
+        remedy = "Reduce them to two, y and x, by da.squeeze() or da.isel(...)"
+        raise ArrayError(ARRAY, Problem(f"its dimensions are {array.dims}"), remedy)
     if array.dtype.kind not in "biuf" or min(array.shape) < 1:
-        raise ArrayError(ARRAY, Problem(f"{array.shape} of the type {array.dtype}"), "real numbers, at least 1 x 1")
+        problem = Problem(f"its shape is {array.shape} and its type {array.dtype}")
+        raise ArrayError(ARRAY, problem, "Use real numbers, at least 1 x 1 cells")
     try:
         y_dim, x_dim = array.rio.y_dim, array.rio.x_dim
     except RioXarrayError:
         raise ArrayError(
             ARRAY,
-            Problem(f"the dimensions {array.dims}"),
-            "y and x: da.rename(...) or da.rio.set_spatial_dims(...) names them",
+            Problem(f"its dimensions are {array.dims}"),
+            "Name them y and x by da.rename(...) or da.rio.set_spatial_dims(...)",
         ) from None
     array = array.transpose(y_dim, x_dim)
     if array.chunks is None:
@@ -84,11 +98,11 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
 
 
 def _heights(array: xarray.DataArray, crs: CRS) -> xarray.DataArray:
-    """Heights without nodata, in metres upwards; an array of dask stays one. Raises ``InputError``."""
+    """Return heights in metres upwards, with NaN for nodata. A dask array stays lazy. Raises ``InputError``."""
     heights = array.astype(np.promote_types(array.dtype, np.float32))
     try:
         nodata = array.rio.nodata
-    except (ValueError, OverflowError):  # no value of the array's type: no cell has it
+    except (ValueError, OverflowError):  # the array's type cannot hold the value, so no cell has it
         nodata = None
     if nodata is not None and not np.isnan(nodata):
         with np.errstate(over="ignore", invalid="ignore"):
@@ -105,33 +119,33 @@ def _axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
     try:
         return axis_of_band(ARRAY, unit if isinstance(unit, str) else "", array.attrs, crs)
     except SourceError:
-        raise InputError(f"{ARRAY}: units", unit, f"{', '.join(METRES_PER_UNIT)} or their long names, as an attribute") from None
+        raise InputError(f"{ARRAY}: units", unit, f"{', '.join(METRES_PER_UNIT)}, or their long names") from None
 
 
 def _crs(array: xarray.DataArray) -> CRS:
     try:
         found = None if array.rio.crs is None else CRS.from_user_input(array.rio.crs.to_wkt())
     except (CRSError, RasterioError, ValueError):
-        raise InputError("crs", Problem(f"{ARRAY} has a CRS that PROJ does not know"), "one by da.rio.write_crs(...)") from None
+        raise InputError("crs", Problem(f"PROJ does not know the CRS of {ARRAY}"), "Set one by da.rio.write_crs(...)") from None
     if found is None:
-        raise InputError("crs", Problem(f"{ARRAY} has none"), "an array with a CRS: da.rio.write_crs(...)")
-    if found.type_name == "Vertical CRS":  # GDAL's GeoTIFFs make a flat world of it
-        raise InputError("crs", Problem(f"{ARRAY} has {found.name}, of heights alone"), "one with x and y: da.rio.write_crs(...)")
+        raise InputError("crs", Problem(f"{ARRAY} has no CRS"), "Set one by da.rio.write_crs(...)")
+    if found.type_name == "Vertical CRS":  # a GeoTIFF of GDAL would make a flat world of it
+        problem = Problem(f"{ARRAY} has the vertical CRS {found.name}")
+        raise InputError("crs", problem, "Set one with x and y by da.rio.write_crs(...)")
     return found
 
 
 def _stated(array: xarray.DataArray) -> Affine:
-    """The geotransform that an array states, for cells without coordinates. Raises ``InputError`` where these have none."""
+    """Return the geotransform that an array declares. Raises ``InputError`` if its cells have neither that nor coordinates."""
     try:
         stated: Affine = array.rio.transform(recalc=False)
-    except (TypeError, ValueError, RioXarrayError):  # of coordinates that are no numbers
+    except (TypeError, ValueError, RioXarrayError):  # the coordinates are not numbers
         stated = Affine.identity()
     if np.isfinite(tuple(stated)).all() and (stated.b or stated.d):
-        raise InputError(ARRAY, Problem("a turned grid"), "rows from west to east; da.rio.reproject(da.rio.crs) makes them")
+        raise InputError(ARRAY, Problem("its grid is rotated"), "Align its rows with x by da.rio.reproject(da.rio.crs)")
     if stated.is_identity and any(dim not in array.coords or array.sizes[dim] < 2 for dim in array.dims):
-        raise InputError(
-            ARRAY, Problem("its cells have no place"), "coordinates y and x; or a geotransform by da.rio.write_transform(...)"
-        )
+        remedy = "Give coordinates y and x, or a geotransform by da.rio.write_transform(...)"
+        raise InputError(ARRAY, Problem("its cells have no coordinates"), remedy)
     return stated
 
 
@@ -140,18 +154,20 @@ def _number(value: Any) -> float:
 
 
 def _even(array: xarray.DataArray, dim: Any, start: float, step: float, is_flipped: bool) -> tuple[float, float]:
-    """The outer edge of the first cell along a dimension, and the step to the next one; stated are those of the array before it was
-    flipped. Raises ``InputError``.
+    """Return the outer edge of the first cell along a dimension, and the step to the next cell.
+
+    ``start`` and ``step`` are the declared values of the array before it was flipped. Raises ``InputError``.
     """
     start, step = (start + array.sizes[dim] * step, -step) if is_flipped else (start, step)
     if dim not in array.coords:
         return start, step
     name, at = f"{ARRAY}: {dim}", array[dim].to_numpy()
     if at.dtype.kind not in "iuf" or not np.isfinite(at).all():
-        raise InputError(name, Problem(f"coordinates of the type {at.dtype}, not all finite"), "numbers in units of the CRS")
+        problem = Problem(f"coordinates of the type {at.dtype} are not all finite numbers")
+        raise InputError(name, problem, "Use numbers in units of the CRS")
     at = at.astype(np.float64)
     if at.size > 1:
         step = float(at[-1] - at[0]) / (at.size - 1)
         if step == 0.0 or np.abs(at - (at[0] + step * np.arange(at.size))).max() > MAX_UNEVEN_CELLS * abs(step):
-            raise InputError(name, Problem("uneven steps"), "coordinates in even steps, as da.interp(...) makes them")
+            raise InputError(name, Problem("uneven steps"), "Use evenly spaced coordinates, as da.interp(...) makes them")
     return float(at[0]) - step / 2.0, step

@@ -126,7 +126,7 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
     names = {name.strip().lower(): name for name in (rows[0] if rows else {}) if name}
     columns = [next((names[word] for word in words if word in names), None) for words in (LON_FIELDS, LAT_FIELDS)]
     if None in columns:
-        raise SourceError(str(path), f"has no columns lon and lat, but {', '.join(names) or 'none'}", "Add them, in degrees")
+        raise SourceError(str(path), f"has no columns lon and lat, only {', '.join(names) or 'none'}", "Add both, in degrees")
     time, height = (next((names[word] for word in words if word in names), None) for words in (TIME_FIELDS, HEIGHT_FIELDS))
     points = []
     for number, row in enumerate(rows, 2):

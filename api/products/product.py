@@ -118,7 +118,7 @@ class Part:
 
     @property
     def ground_height_m(self) -> np.ndarray:
-        """Heights of a map's ground in metres, float32 (rows, cols), NaN outside the data. Holes are filled as for casting shadows."""
+        """Heights of a map's ground in metres, float32 (rows, cols), NaN outside the data. Holes are filled as for shadows."""
         return self._ground[0]
 
     @property

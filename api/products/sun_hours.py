@@ -32,7 +32,7 @@ BLOCK_NODES = 2048
 """Side of a block of bare ground: twice that of a picture, because each sun reads the casters around the block again."""
 
 LARGE_RASTER_CELLS = 16_000_000
-"""Rasters with at least so many cells have smaller blocks. This bounds memory: casters around a block may need more than the block."""
+"""Limit of the cells of a raster with large blocks. Smaller blocks bound memory, since casters around a block may exceed it."""
 
 BLOCK_NODES_OF_LARGE = 1024
 

@@ -109,7 +109,7 @@ def format_expectation(plan: Plan) -> str:
 
 
 def format_target(target: Target) -> str:
-    """A target, as ``at max_items 3 % wrong, within 40 ms``."""
+    """Return a target as text: ``at most 3 % of the cast shadow wrong, within 40 ms``."""
     error = f"at most {100.0 * target.max_error:.3g} % of the cast shadow wrong"
     return error if target.max_ms is None else f"{error}, within {format_duration(target.max_ms)}"
 

@@ -96,7 +96,7 @@ def test_a_film_tells_how_large_it_has_become(tmp_path):
 
 def test_webp_ends_where_its_container_does(monkeypatch, tmp_path):
     monkeypatch.setattr(animated_webp, "MAX_RIFF_BYTES", 500)
-    with pytest.raises(OSError, match="too large for WebP, which ends at 4 GB") as caught:
+    with pytest.raises(OSError, match="too large for WebP, whose limit is 4 GB") as caught:
         write_film(tmp_path / "film.webp", iter(pictures(9)), 9, FPS)
     assert caught.value.filename == str(tmp_path / "film.webp") and left(tmp_path) == []
 
@@ -221,7 +221,7 @@ def test_a_device_without_room_is_told(tmp_path, name):
     [
         ("film.gif", "day.webp"),
         ("film", "day.webp"),
-        ("film.png", "a name with one number for 5 frames, as frames/%04d.png"),
+        ("film.png", "a name with one number for 5 frames, such as frames/%04d.png"),
         ("film%04d.webp", "frames/%04d.png"),
         ("film%s.png", "frames/%04d.png"),
         ("film%d_%d.png", "frames/%04d.png"),
@@ -251,7 +251,7 @@ def test_frames_of_a_longer_film_do_not_stay_among_these(tmp_path):
     write_film(tmp_path / "frames/%03d.png", iter(pictures(4)), 4, FPS)
     (tmp_path / "frames/notes.png").write_bytes(b"mine")
     check_film_path(tmp_path / "frames/%03d.png", 4, (40, 30))
-    with pytest.raises(InputError, match="a folder without frames of a longer film: .*003.png is there"):
+    with pytest.raises(InputError, match="the folder of .* has frames of a longer film: .*003.png. Remove them"):
         check_film_path(tmp_path / "frames/%03d.png", 2, (40, 30))
     write_film(tmp_path / "frames/%03d.png", iter(pictures(4)[::-1]), 4, FPS)
     assert (np.asarray(Image.open(tmp_path / "frames/001.png")) == pictures(4)[3]).all()
@@ -262,9 +262,9 @@ def test_a_missing_encoder_is_told_with_what_brings_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(InputError) as caught:
         check_film_path(tmp_path / "film.mp4", 5, (40, 30))
-    assert str(caught.value) == "output: this machine has no encoder of .mp4; allowed: pip install 'skugga[film]', or a .webp"
+    assert str(caught.value) == "output: this machine has no encoder of .mp4. Run pip install 'skugga[film]', or use a .webp file."
 
 
 def test_what_webp_cannot_hold(tmp_path):
-    with pytest.raises(InputError, match="at most 16383 a side"):
+    with pytest.raises(InputError, match="at most 16383 pixels a side"):
         check_film_path(tmp_path / "film.webp", 5, (16384, 30))

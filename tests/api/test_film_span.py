@@ -76,17 +76,17 @@ WRONG = {
     "clock and date": (("5s", EVENING, "10m"), "to", "both with a date, or both readings of the clock"),
     "no from": ((None, EVENING, "10m"), "from", "from and to together"),
     "nothing": ((None, None, "10m"), "from", "from and to together"),
-    "no to": ((MORNING, None, "10m"), "to", "beside from"),
-    "no step": ((MORNING, EVENING, None), "step", "as 10m, beside from and to"),
+    "no to": ((MORNING, None, "10m"), "to", "missing. Give the last time together with from"),
+    "no step": ((MORNING, EVENING, None), "step", "such as 10m, together with from and to"),
     "zero": ((MORNING, EVENING, "0m"), "step", "at least 0.001s"),
     "negative": ((MORNING, EVENING, "-10m"), "step", "at least 0.001s"),
     "unreadable": ((MORNING, EVENING, "ten"), "step", "a number and a unit, s, m, h or d, such as 15m"),
     "no unit": ((MORNING, EVENING, "10"), "step", "a number and a unit, s, m, h or d, such as 15m"),
-    "many": ((MORNING, EVENING, "4s"), "step", "at most 10000 frames"),
-    "many of the clock": (("0s", "900000d", "0.001s"), "step", "at most 10000 frames"),
+    "many": ((MORNING, EVENING, "4s"), "step", "limit of 10000 frames"),
+    "many of the clock": (("0s", "900000d", "0.001s"), "step", "limit of 10000 frames"),
     "slow": (("0s", "5s", None, 0.01), "fps", "0.1 to 120"),
     "no number": (("0s", "5s", None, float("nan")), "fps", "0.1 to 120"),
-    "two clocks": (("0s", "5s", None, 25.0, None, 3.0), "seconds", "from is there already"),
+    "two clocks": (("0s", "5s", None, 25.0, None, 3.0), "seconds", "cannot be combined with from. Use one of them"),
 }
 
 
@@ -99,5 +99,5 @@ def test_what_is_wrong_is_told_by_its_name(name):
 
 
 def test_fewer_frames_may_be_allowed():
-    with pytest.raises(InputError, match="73 frames, one every 600 s; allowed: at most 50 frames"):
+    with pytest.raises(InputError, match="73 frames, one every 600 s, more than the limit of 50 frames. Use a longer step"):
         film_span(MORNING, EVENING, "10m", most_frames=50)

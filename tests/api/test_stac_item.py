@@ -101,11 +101,11 @@ def test_an_item_without_cells(write):
 @pytest.mark.parametrize(
     ("item", "words"),
     [
-        ("{", ("no JSON",)),
-        ("[1]", ("no STAC item", "Feature")),
+        ("{", ("not JSON",)),
+        ("[1]", ("not a STAC item", "Feature")),
         ({"type": "Collection", "id": "sentinel-2-l2a"}, ("a Collection", "Feature")),
         ({"type": "FeatureCollection", "features": []}, ("a FeatureCollection",)),
-        (sentinel_2(**{"datetime": None, "view:sun_azimuth": None}), ("neither when", "start_datetime", "view:sun_elevation")),
+        (sentinel_2(**{"datetime": None, "view:sun_azimuth": None}), ("neither a time nor the sun's angles", "start_datetime", "view:sun_elevation")),
         (sentinel_2(**{"datetime": "last week", "view:sun_azimuth": None}), ("datetime", "last week", "ISO 8601")),
         (sentinel_2(**{"view:sun_elevation": 170}), ("view:sun_elevation", "170", "-90 to 90")),
         (landsat(**{"proj:transform": [30, 0, "west"]}), ("proj:transform", "west")),
@@ -169,4 +169,4 @@ def test_another_way_to_say_when_is_refused(monkeypatch, capsys, tmp_path, dem, 
     with pytest.raises(SystemExit) as ended:
         cli.main()
     err = capsys.readouterr().err
-    assert ended.value.code == 2 and err.count("\n") == 1 and "--stac" in err and "one way to say when" in err
+    assert ended.value.code == 2 and err.count("\n") == 1 and "--stac" in err and "--stac: cannot be combined with --time" in err

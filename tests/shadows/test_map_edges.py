@@ -171,7 +171,7 @@ def test_points_are_looked_up_alike_among_all_and_one_after_another(gl, place, l
     some = render(scene, view_of(scene), algorithm="shadow_map")
     assert gathered and 0 < max(gathered) < SIDE_M * SIDE_M
     gathered.clear()
-    monkeypatch.setattr(lookup, "FEW", 0.0)
+    monkeypatch.setattr(lookup, "MAX_GATHERED_SHARE", 0.0)
     every = render(scene, view_of(scene), algorithm="shadow_map")
     assert not gathered
     np.testing.assert_array_equal(some.color, every.color)

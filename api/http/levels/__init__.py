@@ -1,1 +1,1 @@
-"""What is said of levels: their list, pages, TileJSON and plans."""
+"""Routes that describe levels: their list, pages, TileJSON, legends and plans."""

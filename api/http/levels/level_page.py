@@ -1,4 +1,4 @@
-"""The page of a level: its picture, facts, and lines to copy into map clients."""
+"""Build the page of a level: its picture, its facts, and code snippets for map clients."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ h2 {{ margin-top: 2rem; }}
 
 
 def level_page(level: ServedLevel, base: str) -> str:
-    """The page, to be read beside ``/levels``: its links are relative to that."""
+    """Return the HTML page of a level. Its links are relative to ``/levels``."""
     name = quote(level.name)
     off_earth_reason = level.world.off_earth_reason is not None
     return _PAGE.format(
@@ -61,8 +61,10 @@ def level_page(level: ServedLevel, base: str) -> str:
 
 
 def snippets(level: ServedLevel, base: str, shown: ProductRequest | None = None) -> Iterator[tuple[str, str]]:
-    """Lines for map clients, each with the client's name; those of XYZ tiles have what is ``shown`` in their addresses (default:
-    the level as it is), while clients of WMTS and WMS choose layer and time by themselves.
+    """Yield code snippets for map clients, each after the client's name.
+
+    Snippets for XYZ tiles have the query of ``shown`` in their URLs; the default has none. Clients of WMTS and WMS choose layer
+    and time themselves.
     """
     assert level.bounds is not None
     query = "" if shown is None else shown.query()
@@ -115,7 +117,7 @@ def snippets(level: ServedLevel, base: str, shown: ProductRequest | None = None)
 
 
 def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
-    """Facts with their names, as HTML."""
+    """Yield names and HTML values of a level's facts."""
     name, said = quote(level.name), level.loaded.level
     if level.bounds is not None:
         west, south, east, north = level.bounds
@@ -147,6 +149,6 @@ def _layer_link(name: str, layer: str) -> str:
 
 
 async def page_answer(request: Request, service: Service, level: ServedLevel, **headers: str) -> Response:
-    """The page of a level."""
+    """Return the response with the page of a level."""
     page = level_page(level, base_url(request, service.settings.public_url))
     return document_answer(request, page.encode(), "text/html", **headers)

@@ -1,4 +1,4 @@
-"""Pages of levels, and their layers for QGIS."""
+"""Routes for pages of levels, layer files for QGIS, and code snippets for map clients."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ QLR_MEDIA = "application/x-qgis-layer-definition"
     "/levels/{level}.html", summary="A level as a page", responses=file_docs("The page.", ["text/html"]), dependencies=NO_PARAMETERS
 )
 async def page_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
-    """Its picture, facts, and lines to copy into MapLibre, Leaflet, OpenLayers, QGIS and ipyleaflet."""
+    """Return a page with the level's picture, facts, and lines to copy into MapLibre, Leaflet, OpenLayers, QGIS and others."""
     return await page_answer(request, service, await service.level(level))
 
 
@@ -41,11 +41,11 @@ async def page_of_level(request: Request, service: TheService, level: LevelPath)
     dependencies=NO_PARAMETERS,
 )
 async def qgis_layers_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
-    """A file to be dragged into QGIS: shaded relief, shadows and hours of sun by WMTS, with times, and heights."""
+    """Return a layer file to drag into QGIS: shaded relief, shadows and hours of sun by WMTS with times, and heights."""
     served = await service.level(level)
     if not served.zooms:
         raise UnsupportedError(
-            "level", level, f"{served.world.off_earth_reason or 'it lies outside of all maps'}, so there are no tiles"
+            "level", level, f"{served.world.off_earth_reason or 'it lies outside of all tile matrix sets'}, so it has no tiles"
         )
     base = base_url(request, service.settings.public_url)
     return document_answer(request, await run_in_threadpool(qgis_layers, served, base, this_year()), QLR_MEDIA)
@@ -69,11 +69,12 @@ class ClientLines(BaseModel):
 async def lines_of_level(
     request: Request, service: TheService, level: LevelPath, shown: Annotated[ProductRequest, Depends(tile_query)]
 ) -> Response:
-    """Lines to copy into MapLibre, Leaflet, OpenLayers, QGIS, GDAL and others, as the level's page has them; those of XYZ tiles
-    show what the query asks of the tiles.
+    """Return lines to copy into MapLibre, Leaflet, OpenLayers, QGIS, GDAL and others, as on the level's page.
+
+    Lines for XYZ tiles include the parameters of the query.
     """
     served = await service.level(level)
     if served.world.off_earth_reason is not None:
-        raise UnsupportedError("level", level, f"{served.world.off_earth_reason}, so there are no tiles")
+        raise UnsupportedError("level", level, f"{served.world.off_earth_reason}, so it has no tiles")
     lines = snippets(served, base_url(request, service.settings.public_url), shown)
     return json_answer(request, [{"client": client, "text": text} for client, text in lines])

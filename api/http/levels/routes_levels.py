@@ -1,4 +1,4 @@
-"""What is served: levels and their TileJSON."""
+"""Routes for levels, their TileJSON and legends."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS))
     responses=file_docs("All levels.", [JSON_MEDIA]),
 )
 async def levels(request: Request, service: TheService) -> Response:
-    """Every level: its name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms, sun, and
-    `warnings` on what may be wrong with its files.
+    """Return every level: name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms and sun.
 
-    `view_kinds` says of each view whether it is a `map` or `perspective`, and its width and height in pixels.
-    `bounds`, `minzoom`, `maxzoom` and `time_zone` (of its middle, as Europe/Oslo) are null where a level has no place on earth.
-    `sun_is_default` is true where the level names no sun: `sun` is then a low one of its place.
+    `view_kinds` has the kind of each view (`map` or `perspective`) and its width and height in pixels.
+    `bounds`, `minzoom`, `maxzoom` and `time_zone` (of the centre, as Europe/Oslo) are null if the level is not on the earth.
+    `sun_is_default` is true if the level names no sun: `sun` is then a low sun of its place.
+    `warnings` are about possible faults of its files.
     """
     served = await service.all_levels()
     return json_answer(request, [level.summary() for level in served])
@@ -52,7 +52,7 @@ async def levels(request: Request, service: TheService) -> Response:
     responses=file_docs("The level, or its page.", [JSON_MEDIA, "text/html"]),
 )
 async def level(request: Request, service: TheService, level: LevelPath) -> Response:
-    """One level, as in the list; for a browser its page."""
+    """Return one level, as in the list of levels. Browsers get its page."""
     served = await service.level(level)
     if wants_page(request):
         return await page_answer(request, service, served, Vary="Accept")
@@ -74,13 +74,13 @@ async def tilejson(
     wanted: Annotated[ProductRequest, Depends(tile_query)],
     format: Annotated[MapFormat, Query(description="Of the tiles.", examples=["webp"])] = "png",
 ) -> Response:
-    """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.
+    """Return TileJSON 3.0.0 for map clients. Its tiles have the parameters of the query.
 
     Beyond the standard, `skugga` has the `layer`, the `tile_matrix_set` and the `sun`: its `azimuth` and apparent
-    `altitude` in degrees at the level's anchor, and its `time` where one was given (null: the level has no sun, or the layer is of
-    many). Layers with a legend have it as a picture, and in `skugga.legend` as numbers, labels and colours. Layers of heights have
-    their `encoding`, which MapLibre does not read from here (its source needs it, too), and the `nodata_height` in metres that they
-    tell where there are no data.
+    `altitude` in degrees at the level's anchor, and its `time` if the sun has one. `sun` is null if the level has no sun, or if the
+    layer covers many suns. A legend is included as a picture, and in `skugga.legend` as numbers, labels and colours. Layers of
+    heights have their `encoding` and the `nodata_height` in metres, their value for pixels without data. MapLibre ignores the
+    `encoding` here: its source needs it, too.
     """
     served = await service.level(level)
     zooms = served.zooms_in(tms)
@@ -127,6 +127,6 @@ async def legend_of_tiles(
     format: Annotated[LegendFormat, Path(description="Of the picture.", examples=["png"])],
     wanted: Annotated[ProductRequest, Depends(tile_query)],
 ) -> Response:
-    """The legend of a layer of tiles as a picture. Of the layers that are pictures there is none."""
+    """Return the legend of a layer as a picture. Layers that are pictures have no legend."""
     served = await service.level(level)
     return await legend_answer(request, served, wanted, format)

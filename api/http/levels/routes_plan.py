@@ -1,4 +1,4 @@
-"""Plans and what they are made from: of a level's view or its tiles, and of a descriptor that a client sends."""
+"""Routes for plans and descriptors of a level's view or tiles, and for the plan of a client's descriptor."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FACTS: dict[str, Any] = {
     "relief_m": 700.0, "block_relief_m": 450.0, "sun_azimuth_deg": 235.0, "sun_altitude_deg": 22.0, "highest_sun_deg": 22.5,
     "receivers_light_m": [10000.0, 9000.0, 600.0],
 }  # fmt: skip
-"""An example of what a client may send: all that has to be said."""
+"""An example of a client's descriptor, with the required facts only."""
 
 NOT_CHANGED: Answers = {304: {"description": "The client has it (`If-None-Match`)."}}
 
@@ -63,7 +63,7 @@ async def plan(
     zoom: ZoomQuery = None,
     tms: MatrixSetQuery = None,
 ) -> Any:
-    """What the selector chooses for a view, or for the tiles of a zoom, and why."""
+    """Return the selector's choice for a view, or for the tiles of a zoom, with its reasons."""
     served = await service.level(level)
     view_or_tiles = _seen(served, view, zoom, tms)
     job = PlanJob(
@@ -90,7 +90,7 @@ async def descriptor(
     zoom: ZoomQuery = None,
     tms: MatrixSetQuery = None,
 ) -> Any:
-    """What plans of a view, or of the tiles of a zoom, are made from: `POST /plan` takes it."""
+    """Return the facts from which plans of a view, or of the tiles of a zoom, are made. `POST /plan` accepts them."""
     served = await service.level(level)
     job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), request=PictureRequest(sun=sun))
     answer = await service.done(request, job)
@@ -114,9 +114,9 @@ async def plan_of_descriptor(
     ],
     wanted: Annotated[PlanQuery, Depends(plan_query)],
 ) -> Any:
-    """What the selector chooses for a scene and a view that it knows by their facts alone, and why.
+    """Return the selector's choice for a scene and a view that are given by their facts, with its reasons.
 
-    What levels ask of shadows and effects is not part of the facts: here all of it is automatic but for what the query asks.
+    The facts do not include a level's settings of shadows and effects: all settings are automatic here, unless the query sets them.
     Predictions are for the service's own device.
     """
     job = DescribedPlanJob(
@@ -128,16 +128,17 @@ async def plan_of_descriptor(
 
 
 def _seen(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | Tiles:
-    """A view's name, or tiles. Raises ``InputError`` for both, or ``NotServedError`` for a zoom that is not there."""
+    """Return a view's name, or the tiles of a zoom.
+
+    Raises ``InputError`` if both are given, or ``tms`` without ``zoom``, and ``NotServedError`` for an unknown zoom.
+    """
     if zoom is None and tms is None:
         return level.view_named(view)
     if view is not None or zoom is None:
-        raise InputError(
-            "view" if zoom is not None else "zoom", view or "", "only one of view and zoom in a request (tms goes with zoom)"
-        )
+        raise InputError.conflict("view", "zoom") if zoom is not None else InputError.missing("zoom", "Give a zoom with tms")
     matrix_set = tms or DEFAULT_MATRIX_SET
     matrix_set_of(matrix_set)
     zooms = level.zooms_in(matrix_set)
     if not zooms.first <= zoom <= zooms.last:
-        raise NotServedError("zoom", f"Zoom {zoom} is not served; zooms {zooms.first} to {zooms.last} are.")
+        raise NotServedError("zoom", f"zoom: {zoom} is not served. Use {zooms.first} to {zooms.last}.")
     return Tiles(matrix_set=matrix_set, zoom=zoom)

@@ -1,7 +1,7 @@
-"""A descriptor that a client sends: as ``Descriptor``, with a bound for all that can be many, and with facts typed by effect.
+"""Validate descriptors from clients: ``Descriptor`` with limits for lists and numbers, and with typed facts of effects.
 
-The predicates of effects take it that their facts are as the engine writes them. Of a client's that is checked here, and what is
-wrong is told by its place, as ``facts.haze.visibility_m``.
+The predicates of effects expect facts as the engine writes them. This module checks the facts of clients. Errors name the path of
+the fault, as ``facts.haze.visibility_m``.
 """
 
 from __future__ import annotations
@@ -17,28 +17,30 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import Band, LampFacts, LightFacts
 
 MAX_LAMPS = 32
-"""Lamps of a descriptor: a plan tells of each by itself."""
+"""Maximum number of lamps. A plan has an entry for each."""
 
 MAX_BANDS = 64
-"""Bands of distances: each is a power of two."""
+"""Maximum number of distance bands. Each is a power of two."""
 
 LEAST_EXTENT_M = 1e-6
-"""Of what is seen, in light space: maps of nothing have no texels."""
+"""Minimum extent of the receivers in light space, in metres. A shadow map needs a positive extent."""
 
 LEAST_SIZE, MOST_SIZE = 1e-12, 1e15
-"""Of a number that is neither 0 nor an infinity: with smaller and larger ones arithmetic ends in them."""
+"""Allowed magnitude of numbers other than 0 and infinities.
+
+Smaller and larger numbers under- or overflow to 0 or infinity in calculations."""
 
 MAX_NAME = 200
-"""Characters of a name, or of a reason."""
+"""Maximum number of characters of a name or a reason."""
 
 
 def _infinite(number: object) -> object:
-    """JSON has no infinity: there it is written as text."""
+    """Convert the texts ``Infinity`` and ``-Infinity``, since JSON numbers have no infinity."""
     return {"Infinity": np.inf, "-Infinity": -np.inf}.get(number, number) if isinstance(number, str) else number
 
 
 def _numbers(data: object, place: str = "") -> Iterator[tuple[str, float | int]]:
-    """Every number of what JSON holds, and where it stands."""
+    """Yield path and value of every number in JSON data."""
     if isinstance(data, float | int) and not isinstance(data, bool):
         yield place, data
     elif isinstance(data, dict | list | tuple):
@@ -47,7 +49,7 @@ def _numbers(data: object, place: str = "") -> Iterator[tuple[str, float | int]]
 
 
 FactNumber = Annotated[float, BeforeValidator(_infinite), Field(strict=True, ge=-np.inf)]
-"""A number or an infinity; NaN is no number, nor is true."""
+"""A number or an infinity, without NaN and booleans."""
 
 FactShare = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
 FactText = Annotated[str, Field(max_length=MAX_NAME)]
@@ -58,7 +60,7 @@ class _Facts(BaseModel):
 
 
 class HazeFacts(_Facts):
-    """Of ``skugga.terrain.effects.haze``, metres."""
+    """Facts of ``skugga.terrain.effects.haze``, in metres."""
 
     visibility_m: Annotated[FactNumber, Field(gt=0.0)] | None = None
     farthest_m: FactNumber | None = None
@@ -66,7 +68,7 @@ class HazeFacts(_Facts):
 
 
 class SnowFacts(_Facts):
-    """Of ``skugga.terrain.effects.snow``."""
+    """Facts of ``skugga.terrain.effects.snow``."""
 
     lies: StrictBool
     on: StrictBool
@@ -74,7 +76,7 @@ class SnowFacts(_Facts):
 
 
 class WaterFacts(_Facts):
-    """Of ``skugga.terrain.effects.water``, metres and steps of 255."""
+    """Facts of ``skugga.terrain.effects.water``, in metres and in steps of 255."""
 
     level_m: FactNumber | None
     covers: StrictBool
@@ -83,28 +85,28 @@ class WaterFacts(_Facts):
 
 
 class CloudFacts(_Facts):
-    """Of ``skugga.terrain.effects.clouds``, shares."""
+    """Facts of ``skugga.terrain.effects.clouds``, as shares of 0 to 1."""
 
     cover: FactShare
     taken: FactShare | None
 
 
 class SkyViewFacts(_Facts):
-    """Of ``skugga.terrain.effects.sky_view``, a share and steps of 255."""
+    """Facts of ``skugga.terrain.effects.sky_view``: a share of 0 to 1, and steps of 255."""
 
     hidden: FactShare
     steps: FactNumber
 
 
 class RefractionFacts(_Facts):
-    """Of ``skugga.terrain.effects.refraction``, degrees and metres."""
+    """Facts of ``skugga.terrain.effects.refraction``, in degrees and metres."""
 
     lift_deg: FactNumber | None = None
     moves_m: FactNumber | None = None
 
 
 class CastShadowFacts(_Facts):
-    """Of ``skugga.terrain.effects.cast_shadows``: differences of slopes, and what can stand before the sun."""
+    """Facts of ``skugga.terrain.effects.cast_shadows``: differences of slopes, and the kinds of casters."""
 
     least_slope: FactNumber | None = None
     most_slope: FactNumber | None = None
@@ -113,20 +115,20 @@ class CastShadowFacts(_Facts):
 
 
 class AlphaTestFacts(_Facts):
-    """Of ``skugga.terrain.effects.alpha_test``."""
+    """Facts of ``skugga.terrain.effects.alpha_test``."""
 
     drawn: StrictBool = True
 
 
 class CrownFacts(_Facts):
-    """Of ``skugga.terrain.effects.crowns``."""
+    """Facts of ``skugga.terrain.effects.crowns``."""
 
     trees: FactNumber
     sunlit: StrictBool
 
 
 class GroundDetailFacts(_Facts):
-    """Of ``skugga.terrain.effects.ground_detail``, metres and a share of the albedo."""
+    """Facts of ``skugga.terrain.effects.ground_detail``: metres, and a share of the albedo."""
 
     draped: StrictBool
     nearest_m: FactNumber | None
@@ -134,13 +136,13 @@ class GroundDetailFacts(_Facts):
 
 
 class OutsideCasterFacts(_Facts):
-    """Of ``skugga.terrain.effects.outside_casters``."""
+    """Facts of ``skugga.terrain.effects.outside_casters``."""
 
     outside: StrictBool = True
 
 
 class FactsByEffect(_Facts):
-    """What effects go by besides, by effect; those of an effect that is not among them are not known."""
+    """Further facts of effects, by effect. A missing effect has unknown facts."""
 
     haze: HazeFacts | None = None
     snow: SnowFacts | None = None
@@ -159,12 +161,12 @@ class FactsByEffect(_Facts):
     def _no_nulls(cls, data: object) -> object:
         for name, facts in data.items() if isinstance(data, dict) else ():
             if facts is None:
-                raise PydanticCustomError("null", "an object of facts for {name}, or no such key", {"name": str(name)[:MAX_NAME]})
+                raise PydanticCustomError("null", "an object for {name}, or no such key", {"name": str(name)[:MAX_NAME]})
         return data
 
 
 class SentDescriptor(Descriptor):
-    """The facts of a scene and a view, as clients may send them."""
+    """The facts of a scene and a view, as clients send them."""
 
     view: Annotated[str, Field(max_length=MAX_NAME)]
     lamps: Annotated[tuple[LampFacts, ...], Field(max_length=MAX_LAMPS)] = ()
@@ -178,7 +180,7 @@ class SentDescriptor(Descriptor):
         for place, number in _numbers(data):
             if number and number == number and abs(number) != np.inf and not LEAST_SIZE <= abs(number) <= MOST_SIZE:
                 told = {"place": place[:MAX_NAME], "least": f"{LEAST_SIZE:g}", "most": f"{MOST_SIZE:g}"}
-                raise PydanticCustomError("size", "{place} of 0, or of {least} to {most} in size", told)
+                raise PydanticCustomError("size", "0, or a magnitude of {least} to {most}, for {place}", told)
         return data
 
     @model_validator(mode="after")
@@ -187,24 +189,24 @@ class SentDescriptor(Descriptor):
             for kind, casting in light.casts.items():
                 if len(casting.bands) > MAX_BANDS:
                     place = {"place": f"lights.{name[:MAX_NAME]}.casts.{kind}.bands", "most": MAX_BANDS}
-                    raise PydanticCustomError("many", "{place} of at most {most} bands", place)
+                    raise PydanticCustomError("many", "at most {most} bands in {place}", place)
         if any(len(lamp.name) > MAX_NAME for lamp in self.lamps):
-            raise PydanticCustomError("long", "lamps.name of at most {most} characters", {"most": MAX_NAME})
+            raise PydanticCustomError("long", "at most {most} characters in lamps.name", {"most": MAX_NAME})
         return self
 
     @model_validator(mode="after")
     def _complete(self) -> SentDescriptor:
         if self.highest_sun_deg is not None and max(self.receivers_light_m or (0.0,)) < LEAST_EXTENT_M:
-            raise PydanticCustomError("receivers", "receivers_light_m of what is seen under a sun: metres, not all of them 0")
+            raise PydanticCustomError("receivers", "extents in receivers_light_m under a sun (metres, not all 0)")
         haze, refraction = self.facts.haze, self.facts.refraction
         hazy = self.view_kind == "perspective" and haze is not None and haze.visibility_m is not None
         if hazy and (haze.farthest_m is None or haze.shows_from_m is None):  # type: ignore[union-attr]
-            raise PydanticCustomError("haze", "facts.haze of a perspective view with visibility_m, farthest_m and shows_from_m")
+            raise PydanticCustomError("haze", "visibility_m, farthest_m and shows_from_m in facts.haze of a perspective view")
         sunny = self.highest_sun_deg is not None and refraction is not None
         if sunny and not {"lift_deg", "moves_m"} <= refraction.model_fields_set:  # type: ignore[union-attr]
-            raise PydanticCustomError("refraction", "facts.refraction under a sun with lift_deg and moves_m")
+            raise PydanticCustomError("refraction", "lift_deg and moves_m in facts.refraction under a sun")
         return self
 
     def as_descriptor_json(self) -> str:
-        """The same as JSON of a ``Descriptor``: what was not sent is left out."""
+        """Return the JSON of a ``Descriptor``, without the keys that were not sent."""
         return self.model_dump_json(exclude_unset=True)

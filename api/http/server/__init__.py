@@ -1,1 +1,1 @@
-"""The application and the server that runs it: connections, checks before all routes, errors, health, the viewer's page."""
+"""The application and its server: connections, middleware, error handlers, health, documentation and the viewer."""

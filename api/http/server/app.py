@@ -1,4 +1,4 @@
-"""The HTTP service: an application of its routes."""
+"""The HTTP application: middleware, error handlers and all routes."""
 
 from __future__ import annotations
 
@@ -42,6 +42,7 @@ from skugga.api.workers.pool import Pool
 from skugga.api.workers.spawned import Spawned, WorkerTarget
 from skugga.api.workers.worker_main import worker_main
 from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.terrain.errors import Problem
 from skugga.terrain.level.level_source import LevelSource
 
 
@@ -54,12 +55,38 @@ def create_app(
     archives: Sequence[Path] = (),
     spawned: Spawned | None = None,
 ) -> FastAPI:
-    """The application over some levels, those of the settings' folder, and archives of tiles; its render processes run from its
-    start to its end, if there may be levels; the first one may have been ``spawned`` before. A device without a calibration is
-    given one by ``measure`` while nothing is drawn, and levels are probed by ``probe``.
+    """Return the application for some levels and archives.
 
-    Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served, ``ArchiveError`` for an archive,
-    also one that a level names; of the folder's levels such are left out, and such archives told of in the log.
+    Its render processes run from startup to shutdown, unless it serves archives only.
+
+    Parameters
+    ----------
+    settings
+        The service's settings. Their folder of levels is served, too.
+    levels
+        Level files, or sources of levels.
+    worker_target
+        Main function of a render process.
+    measure
+        Calibrates an uncalibrated device while the service is idle.
+    probe
+        Probes a level while the service is idle.
+    archives
+        PMTiles archives.
+    spawned
+        The first render process, if it was started before.
+
+    Returns
+    -------
+    FastAPI
+        The application.
+
+    Raises
+    ------
+    LevelError, SourceError, InputError
+        A level cannot be served. Such levels of the folder are logged and left out instead.
+    ArchiveError
+        An archive cannot be served, or an archive that a level names. Such archives of the folder's levels are logged instead.
     """
     served = ServedLevels(
         levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s, settings.levels, settings.data_roots
@@ -97,8 +124,8 @@ def create_app(
     app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
     if settings.api_token is not None:
         app.add_middleware(BearerToken, token=settings.api_token.get_secret_value())
-    # Round those that refuse, so that pages of other origins can read why. No header of a request brings cookies or the like with
-    # it: pages may send any.
+    # CORS wraps the middleware that rejects requests, so pages of other origins can read the reason. Requests carry no credentials
+    # such as cookies, so all request headers are allowed.
     app.add_middleware(
         CrossOrigin, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST", "DELETE"],
         allow_headers=["*"], expose_headers=list(EXPOSED_HEADERS),
@@ -118,7 +145,7 @@ def create_app(
 
 
 class HeadAsGet:
-    """Answers HEAD as GET without the body."""
+    """Middleware that answers HEAD like GET, without the body."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -138,7 +165,10 @@ class HeadAsGet:
 
 
 class BoundedBody:
-    """Refuses bodies of more than so many bytes, before they are read where they tell their length."""
+    """Middleware that rejects request bodies of more than ``max_bytes`` bytes.
+
+    A body with a Content-Length is rejected before it is read.
+    """
 
     def __init__(self, app: ASGIApp, max_bytes: int) -> None:
         self.app, self.max_bytes = app, max_bytes
@@ -149,7 +179,9 @@ class BoundedBody:
             await self.app(scope, receive, send)
             return
         error = TooLargeError(
-            "body", f"more than {self.max_bytes} bytes", f"at most {self.max_bytes} bytes (SKUGGA_MAX_BODY_BYTES)"
+            "body",
+            Problem(f"more than {self.max_bytes} bytes"),
+            "Send a smaller body, or have the operator raise SKUGGA_MAX_BODY_BYTES",
         )
         content_length = dict(scope["headers"]).get(b"content-length", b"0")
         if content_length.isdigit() and int(content_length) > self.max_bytes:

@@ -1,4 +1,4 @@
-"""A token that clients have to show, where the settings have one."""
+"""Authentication with a bearer token, if the settings have one."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from skugga.api.http.problems import problem_of, problem_response
 
 OPEN_PATHS = {"/healthz", "/readyz"}
-"""What needs no token: whoever watches the service's health has none."""
+"""Paths that need no token: health checks have none."""
 
 
 class BearerToken:
-    """Refuses requests without the header ``Authorization: Bearer TOKEN`` (RFC 6750), but for health. What it lets through no
-    shared cache may keep, which would send it to those without a token.
+    """Middleware that rejects requests without ``Authorization: Bearer TOKEN`` (RFC 6750), except for health checks.
+
+    It makes answers ``private``: a shared cache would also send them to clients without a token.
     """
 
     def __init__(self, app: ASGIApp, token: str) -> None:

@@ -1,4 +1,4 @@
-"""The server's reading of requests, with a bound for what comes before a body: the parser itself has none."""
+"""An HTTP protocol with a limit for the size of a request's line and headers. The parser itself has none."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from skugga.api.http.problems import Problem, problem_of, problem_response
 
 MAX_HEAD_BYTES = 64 * 1024
-"""Of a request's line and headers, about: what comes with the last of them is not counted."""
+"""Approximate limit of a request's line and headers: the data that completes the headers is not counted."""
 
 
 class BoundedHeaders(HttpToolsProtocol):
-    """Ends connections whose request does not come to its body, or to its end, within so many bytes."""
+    """Protocol that closes a connection whose request line and headers exceed ``MAX_HEAD_BYTES``."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._in_head, self._has_ended, self._head_bytes = True, False, 0
 
     def data_received(self, data: bytes) -> None:
-        """Read some bytes."""
+        """Parse received data and count it while the headers are incomplete."""
         self._has_ended = False
         super().data_received(data)
         if not self._in_head or self._has_ended or self.transport.is_closing():
-            return  # what follows the end of a request in the same bytes is not counted
+            return  # data after the end of a request in the same packet is not counted
         self._head_bytes += len(data)
         if self._head_bytes > MAX_HEAD_BYTES:
             self._refuse(problem_of(431))
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse what the parser cannot read."""
+        """Answer an invalid request with a problem document."""
         self._refuse(problem_of(400))
 
     def _refuse(self, problem: Problem) -> None:
@@ -40,11 +40,11 @@ class BoundedHeaders(HttpToolsProtocol):
         self.transport.close()
 
     def on_headers_complete(self) -> None:
-        """The parser has come to the end of the headers."""
+        """Stop counting at the end of the headers."""
         self._in_head, self._head_bytes = False, 0
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:
-        """The parser has come to the end of a request: another one may follow."""
+        """Reset the count at the end of a request: another request may follow."""
         self._in_head, self._has_ended, self._head_bytes = True, True, 0
         super().on_message_complete()

@@ -1,4 +1,4 @@
-"""Which pages of other origins may read answers."""
+"""CORS headers that work with shared caches."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ from starlette.types import Message, Receive, Scope, Send
 
 
 class CrossOrigin(CORSMiddleware):
-    """Starlette's, but for what shared caches make of it: where all origins may read, an answer is the same for all, also for a
-    request that names none; else it says that it depends on the origin, whether or not one was named.
+    """Starlette's CORS middleware with headers that are safe for shared caches.
+
+    With all origins allowed, answers have the same headers for every request, even without ``Origin``. Otherwise every answer has
+    ``Vary: Origin``.
     """
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Run the application, or answer what a browser asks beforehand."""
+        """Run the application, or answer a preflight request."""
         if scope["type"] == "http" and scope["method"] != "OPTIONS":
             await self.simple_response(scope, receive, send, request_headers=Headers(scope=scope))
         else:
             await super().__call__(scope, receive, send)
 
     async def send(self, message: Message, send: Send, request_headers: Headers) -> None:
-        """Give an answer its headers."""
+        """Add the CORS headers to an answer and send it."""
         if message["type"] == "http.response.start":
             headers, origin = MutableHeaders(scope=message), request_headers.get("Origin")
             if self.allow_all_origins:

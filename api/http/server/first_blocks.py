@@ -1,4 +1,4 @@
-"""The block of each served level for which idle render processes prepare."""
+"""The first block of each level, for which idle render processes prepare."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from skugga.api.workers.jobs import BlockJob
 
 
 def first_blocks(levels: ServedLevels) -> tuple[BlockJob, ...]:
-    """Return the block in the middle of each level that has tiles, at its first zoom."""
+    """Return the central block of each level with tiles, at its first zoom."""
     blocks = (first_block(level) for level in levels.known())
     return tuple(block for block in blocks if block is not None)
 
 
 def first_block(level: ServedLevel, zoom: int | None = None) -> BlockJob | None:
-    """Return the block in the middle of a level at a zoom, by default its first one; ``None`` where it has no tiles."""
+    """Return the central block of a level at a zoom, by default its first zoom; ``None`` for a level without tiles."""
     zooms = level.zooms.get(DEFAULT_MATRIX_SET)
     if zooms is None or level.bounds is None:
         return None

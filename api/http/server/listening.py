@@ -1,7 +1,7 @@
-"""Taking connections, as many as there are descriptors for, and ending those whose clients keep them waiting.
+"""Accept connections up to a limit, evict idle connections and reap stalled ones.
 
-Accepting pauses while no connection can be had. A connection that waits for its request makes way for a new one; so clients who
-send nothing, or too slowly, keep nobody out.
+Accepting pauses while no connection is available. At the limit, a new connection evicts the idle connection that has waited
+longest for its request. Clients that send nothing, or send slowly, therefore block no other client.
 """
 
 from __future__ import annotations
@@ -17,22 +17,30 @@ from typing import Any, Protocol
 log = logging.getLogger("skugga")
 
 ACCEPTED_AT_ONCE = 64
-"""Connections that are accepted before others have their turn in the event loop."""
+"""Maximum number of connections that are accepted in one step of the event loop."""
 
 LOOK_S = 0.25
-"""How often it is looked which connections have waited for too long."""
+"""Interval of the search for stalled connections."""
 
 PAUSE_S = 0.5
-"""How long accepting pauses where the system has no more descriptors."""
+"""Pause of accepting after the system has run out of file descriptors."""
 
 TOLD_EVERY_S = 60.0
-"""How often that is told."""
+"""Minimum interval of log messages about a lack of file descriptors."""
 
 OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 
 
 class HttpConnection(Protocol):
-    """What is used of a connection of the server's: its transport, and its present request and response."""
+    """The used part of uvicorn's HTTP protocol.
+
+    Attributes
+    ----------
+    transport : asyncio.Transport
+        The connection's transport.
+    cycle : object or None
+        The current request and response.
+    """
 
     transport: asyncio.Transport
     cycle: Any
@@ -40,17 +48,40 @@ class HttpConnection(Protocol):
 
 @dataclass
 class _Waiting:
-    """What a connection was last seen to wait for, and since when (the event loop's clock)."""
+    """The wait state of a connection.
+
+    Attributes
+    ----------
+    what : tuple
+        The state, which changes as the client makes progress (``_state_of``).
+    since_s : float
+        Begin of that state, by the event loop's clock.
+    """
 
     what: tuple[object, ...]
     since_s: float
 
 
 class BoundedListener:
-    """Accepts connections of a socket while there are fewer than ``limit``; stands where the server has an ``asyncio.Server``.
+    """A listener that accepts connections up to a limit. It replaces the ``asyncio.Server`` of uvicorn.
 
-    ``connections`` are the server's. A client has ``client_s`` seconds to send its request, headers and body each, or to read some
-    of its answer.
+    Parameters
+    ----------
+    listening
+        The listening socket.
+    make_protocol
+        Returns the protocol of a new connection.
+    connections
+        The server's set of open connections.
+    limit
+        Maximum number of connections.
+    client_s
+        Seconds in which a client must send the headers, send the body, or read a part of its answer.
+
+    Attributes
+    ----------
+    refused : int
+        Number of connections that the listener has closed.
     """
 
     def __init__(
@@ -77,14 +108,14 @@ class BoundedListener:
         self._resume()
 
     def close(self) -> None:
-        """Accept no more."""
+        """Stop accepting connections and close the socket."""
         self._closed = True
         self._pause()
         self._look.cancel()
         self._listening.close()
 
     async def wait_closed(self) -> None:
-        """Wait until connections that were just being made are."""
+        """Wait until pending connections are established."""
         if self._being_made:
             await asyncio.wait(self._being_made)
 
@@ -112,7 +143,7 @@ class BoundedListener:
                 self._paused_until_s = self._loop.time() + PAUSE_S
                 if error.errno not in OUT_OF_RESOURCES or self._loop.time() - self._told_s >= TOLD_EVERY_S:
                     self._told_s = self._loop.time()
-                    log.error("connections cannot be accepted: %s; trying again every %g s", error.strerror, PAUSE_S)
+                    log.error("connections cannot be accepted: %s; retrying every %g s", error.strerror, PAUSE_S)
                 return
             client.setblocking(False)
             task = self._loop.create_task(self._connect(client))
@@ -127,11 +158,11 @@ class BoundedListener:
     async def _connect(self, client: socket.socket) -> None:
         try:
             await self._loop.connect_accepted_socket(self._make_protocol, client)
-        except OSError:  # it has gone already
+        except OSError:  # the client has already disconnected
             client.close()
 
     def _make_way(self) -> bool:
-        """End the connection that has waited longest for a request to come; whether there was any."""
+        """Close the connection that has waited longest for its request. Return whether one was idle."""
         self._note_what_waits()
         idle = [(state.since_s, connection) for connection, state in self._waiting.items() if _awaits_request(connection)]
         if not idle:
@@ -141,7 +172,7 @@ class BoundedListener:
         return True
 
     def _look_round(self) -> None:
-        """End what has waited for too long, and go on accepting where there is room."""
+        """Close stalled connections and resume accepting."""
         self._note_what_waits()
         now_s = self._loop.time()
         for connection, state in list(self._waiting.items()):
@@ -169,7 +200,10 @@ class BoundedListener:
 
 
 def _state_of(connection: HttpConnection) -> tuple[object, ...]:
-    """What changes as a client sends the parts of its request, and reads its answer: a byte more of a part changes nothing."""
+    """Return a state that changes when a client completes a part of its request or reads from its answer.
+
+    Single bytes of headers or body do not change it.
+    """
     cycle = connection.cycle
     if cycle is None:
         return ("headers",)
@@ -177,11 +211,11 @@ def _state_of(connection: HttpConnection) -> tuple[object, ...]:
 
 
 def _awaits_request(connection: HttpConnection) -> bool:
-    """Whether nothing is done for a connection, as its request has not come as a whole."""
+    """Return whether a connection is idle, since its request is incomplete."""
     cycle = connection.cycle
     return cycle is None or (cycle.more_body and not cycle.response_started) or cycle.response_complete
 
 
 def _waits_for_client(connection: HttpConnection) -> bool:
-    """Whether it is the client that a connection waits for, to send or to read."""
+    """Return whether a connection waits for its client to send or to read."""
     return _awaits_request(connection) or connection.transport.get_write_buffer_size() > 0

@@ -1,4 +1,4 @@
-"""The page that browsers get at addresses where there is nothing."""
+"""The HTML page of status 404 for browsers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PAGE = """<!doctype html>
 
 
 def not_found_page(request: Request, detail: str) -> HTMLResponse:
-    """What is wrong with the address, and what is there: no file is looked at."""
+    """Return a page with the problem and links to the served levels. Reads no file."""
     service = service_of(request)
     base = base_url(request, service.settings.public_url)
     items = "".join(

@@ -1,4 +1,4 @@
-"""The OpenAPI document of an application: its routes with examples that the levels it serves answer."""
+"""Build the OpenAPI document of an application, with examples that work for its levels."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from skugga.api.http.state.service import Service
 from skugga.api.matrices import matrix_set_of
 
 DIGITS = 5
-"""Of degrees in examples."""
+"""Decimals of degrees in examples."""
 
 
 def install_openapi(app: FastAPI, service: Service) -> None:
-    """Give an application its document, which is made when it is first asked for."""
+    """Install a function that builds the OpenAPI document at its first use."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -56,7 +56,7 @@ def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
 
 
 def _plan_schemas() -> dict[str, Any]:
-    """The schemas of a plan and of all that it is made of, by name: those of a route that answers with one."""
+    """Return the schemas of a plan and its parts by name, as FastAPI makes them for a route with a plan."""
     from skugga.shadows.plan import Plan
 
     router = APIRouter()
@@ -70,7 +70,7 @@ def _with_whole_statuses(answers: dict[str, Any]) -> dict[int | str, Any]:
 
 
 def places_of(levels: list[ServedLevel]) -> dict[str, Any]:
-    """Examples of parameters that say where, by their names: in the first of some levels that has tiles, else of the first."""
+    """Return examples of location parameters by name, for the first level with tiles, else for the first level."""
     on_earth = [level for level in levels if level.bounds is not None and DEFAULT_MATRIX_SET in level.zooms]
     if not on_earth:
         return {"level": levels[0].name} if levels else {}
@@ -90,7 +90,7 @@ def places_of(levels: list[ServedLevel]) -> dict[str, Any]:
 
 
 def places_in(archives: dict[str, ArchiveFile]) -> dict[str, Any]:
-    """The same of the first of some archives: a tile that it has."""
+    """Return examples of location parameters by name, for an existing tile of the first archive."""
     for name, archive in archives.items():
         zoom, x, y = archive.first_tile
         return {"archive": name, "z": zoom, "x": x, "y": y, "format": archive.format}
@@ -101,7 +101,7 @@ def _give_examples(operation: dict[str, Any], places: dict[str, Any]) -> None:
     for parameter in operation.get("parameters", ()):
         if parameter["name"] in places:
             parameter["schema"]["examples"] = [places[parameter["name"]]]
-        # The interface's page fills its form with these: the others do not all go together.
+        # Swagger UI fills its form with ``example``. Optional parameters get none, since not all can be combined.
         if parameter.get("required") and "examples" in parameter["schema"]:
             parameter["example"] = parameter["schema"]["examples"][0]
     for content in operation.get("requestBody", {}).get("content", {}).values():
@@ -110,7 +110,7 @@ def _give_examples(operation: dict[str, Any], places: dict[str, Any]) -> None:
 
 
 def example_address(path: str, operation: dict[str, Any], query: dict[str, str]) -> str:
-    """The path and query of an operation's example: of its ``query``, and else of the parameters that it needs."""
+    """Return path and query of an operation's example, from its ``query`` and its required parameters."""
     parameters = operation.get("parameters", [])
     examples = {each["name"]: each["schema"]["examples"][0] for each in parameters if "examples" in each["schema"]}
     for each in parameters:

@@ -1,4 +1,4 @@
-"""The handlers of an application that answer every error as a problem document."""
+"""Exception handlers that answer every error with a problem document."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from starlette.routing import Match, Mount
 from skugga.api.http.answers import wants_page
 from skugga.api.http.problems import domain_problem, problem_of, problem_response
 from skugga.api.http.server.not_found import not_found_page
-from skugga.terrain.errors import MISSING_VALUE, InputError, Problem, SkuggaError, printable
+from skugga.terrain.errors import InputError, Problem, SkuggaError, printable
 from skugga.terrain.level.level_errors import UNKNOWN_KEY
 
 
 def install_problem_handlers(app: FastAPI) -> None:
-    """Answer every error of an application as a problem document."""
+    """Install handlers that answer every error of an application with a problem document."""
 
     async def domain(request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, SkuggaError)
@@ -32,9 +32,9 @@ def install_problem_handlers(app: FastAPI) -> None:
         if error.status_code == 405:
             headers["Allow"] = ", ".join(_methods_at(request))
         said = {
-            400: "body: it cannot be read; allowed: JSON in UTF-8, nested not too deeply",  # nothing else is read before a route
-            404: f"There is nothing at {printable(request.url.path[:200])}.",
-            405: f"There is no {request.method[:20]} here; allowed: {headers.get('Allow')}.",
+            400: "body: cannot be read. Send JSON in UTF-8, not nested too deeply.",  # before routing only the body is parsed
+            404: f"Nothing is served at {printable(request.url.path[:200])}.",
+            405: f"{request.method[:20]} is not allowed here. Allowed: {headers.get('Allow')}.",
         }
         detail = said.get(error.status_code, str(error.detail))
         if error.status_code == 404 and wants_page(request):
@@ -52,30 +52,32 @@ def install_problem_handlers(app: FastAPI) -> None:
 
 
 def _methods_at(request: Request) -> list[str]:
-    """The methods that an address has, by all routes that lead there: the framework tells of the first alone."""
+    """Return the methods of an address over all its routes. Starlette reports only the first route's."""
 
     def has(method: str) -> bool:
         scope = {**request.scope, "method": method}
-        routes = [route for route in request.app.routes if method == "GET" or not isinstance(route, Mount)]  # of files
+        routes = [
+            route for route in request.app.routes if method == "GET" or not isinstance(route, Mount)
+        ]  # mounts: files
         return any(route.matches(scope)[0] is Match.FULL for route in routes)
 
     return [*(["GET", "HEAD"] if has("GET") else []), *(method for method in ("POST", "DELETE") if has(method))]
 
 
 def _first_wrong(error: RequestValidationError) -> InputError:
-    """The first thing that is wrong: a parameter by its name, a part of the body by its path."""
+    """Convert the first validation error. It names a parameter, or the path of a part of the body."""
     detail = error.errors()[0]
     where, *path = detail["loc"]
     name = ".".join(str(part) for part in path) or "body" if where == "body" else str(detail["loc"][-1])
     if detail["type"] == "json_invalid":
-        return InputError("body", Problem(f"not valid JSON at character {path[0]} ({detail['ctx']['error']})"), "JSON")
+        return InputError("body", Problem(f"not valid JSON at character {path[0]} ({detail['ctx']['error']})"), "Send JSON")
     if detail["type"] == "missing":
-        return InputError(name, MISSING_VALUE, "a value: it is required")
+        return InputError.missing(name, "Give a value")
     if where == "body" and isinstance(detail.get("input"), bytes):
-        return InputError("body", Problem("not sent as JSON"), "JSON, with Content-Type: application/json")
+        return InputError("body", Problem("not sent as JSON"), "Send JSON with Content-Type: application/json")
     if detail["type"] == UNKNOWN_KEY:
         where = ".".join([*map(str, path), detail["ctx"]["key"]])
-        return InputError(where, Problem("unknown key"), detail["ctx"]["known"])
+        return InputError(where, Problem("unknown key"), f"Allowed keys: {detail['ctx']['known']}")
     if detail["type"] == "model_attributes_type":
         return InputError(name, detail.get("input"), "an object")
     allowed = detail["msg"].removeprefix("Input should be ")

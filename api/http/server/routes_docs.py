@@ -1,4 +1,4 @@
-"""The interface on ``/docs``: Swagger UI, of files that the service has itself."""
+"""Swagger UI on ``/docs``, from files of this installation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.staticfiles import StaticFiles
 
 SWAGGER_UI = "fastapi_offline", "static"
-"""The package that carries the files of Swagger UI, and their folder in it."""
+"""The package with the files of Swagger UI, and their folder in it."""
 
 _PAGE = """<!doctype html>
 <html lang="en">
@@ -24,7 +24,7 @@ _PAGE = """<!doctype html>
 </body>
 </html>
 """
-"""Its addresses are relative, so that it works behind any path prefix."""
+"""Its links are relative, to work behind any path prefix."""
 
 _START = """SwaggerUIBundle({
   url: 'openapi.json',
@@ -34,11 +34,11 @@ _START = """SwaggerUIBundle({
   validatorUrl: null, // no service elsewhere is asked what it thinks of the document
 });
 """
-"""A file of its own: the pages' content security policy runs no script that is written in a page."""
+"""A separate file, since the content security policy forbids inline scripts."""
 
 
 def install_docs(app: FastAPI) -> None:
-    """Serve the page on ``/docs``, its parts below it."""
+    """Serve Swagger UI on ``/docs`` and its files below."""
 
     @app.get("/docs", include_in_schema=False)
     async def interface() -> Response:

@@ -1,4 +1,4 @@
-"""Is it alive, can it draw, and how does it do?"""
+"""Routes for liveness, readiness and metrics."""
 
 from __future__ import annotations
 
@@ -22,29 +22,32 @@ _UNCACHED = {"Cache-Control": "no-store"}
 
 @router.get("/healthz", summary="Whether the service is alive", responses=problem_docs(503), response_model=dict[str, str])
 async def healthz(service: TheService) -> JSONResponse:
-    """Answers while the service runs, whether or not it can draw; 503 where it is to be started anew."""
+    """Return 200 while the service runs, even if it cannot render yet; 503 if it must be restarted."""
     if not service.pool.whole:
-        raise UnhealthyError("what keeps a render process running has ended")
+        raise UnhealthyError("the supervisor of a render process has ended")
     return JSONResponse({"status": "ok"}, headers=_UNCACHED)
 
 
 @router.get("/readyz", summary="Whether the service can draw", responses=problem_docs(503), response_model=dict[str, Any])
 async def readyz(service: TheService) -> JSONResponse:
-    """503 until a render process has warmed up, and while none runs. `calibration` says whether plans go by predictions:
-    `calibrated`; `waiting` (for an idle service), `running`, `paused`; `failed`, `off`, `none` (no device to calibrate).
-    `probes_waiting` is how many levels, each under a class of suns, are still to be probed while nothing is drawn. Where archives
-    of tiles are served alone nothing is drawn, and the service is ready at once.
+    """Return 200 if a render process is ready; 503 until the first one has warmed up, and while none runs.
 
-    `preparing` is what is compiled, with the numbers of loops `done` and in `total` (0 while unknown), and `elapsed_s`, the
-    seconds since the service began to prepare; `null` where nothing is left. Before the service is ready tiles wait for it;
-    after that it is what no request has needed yet.
+    A service of archives only renders nothing and is ready at once.
+
+    `calibration` is the state of the device's calibration, which plans by prediction need: `calibrated`; `waiting` (for an idle
+    service), `running`, `paused`; `failed`, `off`, `none` (no device to calibrate). `probes_waiting` is the number of pending
+    probes: one for each level and class of suns, run while the service is idle.
+
+    `preparing` describes the compilation of loops: the numbers `done` and `total` (0 while unknown), and `elapsed_s`, the seconds
+    since its start; `null` when it is complete. Tiles wait for loops that are compiled before the service is ready. Loops that are
+    compiled later are those that no request has needed yet.
     """
     pool = service.pool
     preparing: dict[str, Any] | None = None
     if pool.preparing is not None:
         preparing = {**asdict(pool.preparing), "elapsed_s": round(time.monotonic() - pool.preparing_since, 1)}
     if service.draws and not pool.ready:
-        raise NotReadyError("No render process is ready; the service's log says why if this lasts.", preparing)
+        raise NotReadyError("No render process is ready. If this lasts, see the service's log.", preparing)
     return JSONResponse(
         {
             "status": "ready",
@@ -61,5 +64,5 @@ async def readyz(service: TheService) -> JSONResponse:
 
 @router.get("/metrics", summary="Metrics", response_class=PlainTextResponse, response_model=str)
 async def metrics(service: TheService) -> Response:
-    """For Prometheus, in its text format."""
+    """Return the metrics in Prometheus' text format."""
     return Response(service.metrics.text(), headers=_UNCACHED, media_type=MEDIA_TYPE_OF_METRICS)

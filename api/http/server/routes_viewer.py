@@ -1,4 +1,4 @@
-"""The viewer on ``/``, or where it was not built a page that says so."""
+"""The viewer on ``/``, or a plain page if the viewer was not built."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _PAGE = """<!doctype html>
 
 
 def install_viewer(app: FastAPI, folder: Path) -> None:
-    """Serve the viewer of a folder: its page on ``/``, its parts under ``/assets``, all of it under ``/static``."""
+    """Serve the viewer from a folder: its page on ``/``, its parts under ``/assets``, all files under ``/static``."""
 
     @app.get("/", include_in_schema=False)
     async def index(service: TheService) -> Response:
         page = folder / "index.html"
         if await run_in_threadpool(page.is_file):
-            # Tiles of a base map come from whichever server somebody names; scripts never do.
+            # Users may name any server for tiles of a base map; scripts come from this service only.
             policy = page_policy(tiles="'self' https: http:")
             return FileResponse(page, headers={"Cache-Control": "no-cache", "Content-Security-Policy": policy})
         levels = await service.all_levels()
@@ -46,7 +46,7 @@ def install_viewer(app: FastAPI, folder: Path) -> None:
         )  # fmt: skip
         return HTMLResponse(_PAGE.format(items=items))
 
-    # The page addresses its parts relative to itself.
+    # The page has relative links to its parts.
     for path, part in (("/assets", folder / "assets"), ("/static", folder)):
         if part.is_dir():
             app.mount(path, StaticFiles(directory=part), name=path.strip("/"))

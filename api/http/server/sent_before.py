@@ -1,4 +1,4 @@
-"""Tiles that were sent are sent again before an application looks at a request."""
+"""Middleware that sends cached tiles before requests are routed."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from skugga.api.http.state.encoded_tiles import DrawnBy, EncodedTile
 from skugga.api.http.state.service import Service
 
 KEPT_TILE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)"
-"""The route in metrics and logs of tiles that are answered before one is looked for."""
+"""The route in metrics and logs of tiles that this middleware sends."""
 
 
 def drawn_by(service: Service, name: str) -> DrawnBy:
-    """What the tiles of a level hang on besides their addresses."""
+    """Return the versions that the tiles of a level depend on besides their addresses.
+
+    It is ``(None,)`` if a check of the level or its archives is due.
+    """
     level = service.levels.unchanged(name)
     archives = None if level is None else service.archives.unchanged_of(level)
     if level is None or archives is None:
@@ -25,13 +28,13 @@ def drawn_by(service: Service, name: str) -> DrawnBy:
 
 
 class SentBefore:
-    """Answers for tiles that are kept, before an application looks at a request."""
+    """Middleware that answers requests for cached tiles before routing."""
 
     def __init__(self, app: ASGIApp, service: Service) -> None:
         self.app, self.service = app, service
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, or run the application."""
+        """Send a cached tile, or run the application."""
         tile = self._sent(scope) if scope["type"] == "http" and scope["method"] == "GET" else None
         if tile is None:
             await self.app(scope, receive, send)

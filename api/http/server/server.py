@@ -1,4 +1,4 @@
-"""The server that runs the application: where it listens, how it logs, what signals do, and how it stops."""
+"""The server that runs the application: sockets, logging, signals and shutdown."""
 
 from __future__ import annotations
 
@@ -27,27 +27,28 @@ from skugga.api.workers.spawned import Spawned
 from skugga.terrain.level.level_source import LevelSource
 
 LAST_ANSWERS_S = 3
-"""How long a stopping server waits for clients to read their answers."""
+"""Time that a stopping server gives clients to read their answers."""
 
 DESCRIPTORS_A_WORKER = 10
-"""File descriptors that are left to each render process: its pipe, its end, and what its start takes."""
+"""File descriptors reserved for each render process: its pipe, its sentinel and its start."""
 
 DESCRIPTORS_A_FILM = 4
-"""For each film that is being written; one that is kept has one."""
+"""File descriptors reserved for each film in progress; a finished film has one."""
 
 DESCRIPTORS_LEFT = 16
-"""What is left besides: for files of levels and of the viewer, and for logs."""
+"""File descriptors reserved for files of levels and the viewer, and for logs."""
 
 FOLDER_AGAIN_S = 5.0
-"""After how long reading the folder of levels is tried again where no thread can be started for it."""
+"""Delay of the next attempt to read the folder of levels, if no thread can be started."""
 
 LEAST_CONNECTIONS = 8
 BACKLOG = 2048
 
 
 def log_config(settings: Settings) -> dict[str, Any]:
-    """How the server logs: all to standard error. Of uvicorn's own only errors: its warnings are of single requests that are
-    wrong, and whoever sends them could fill a disk.
+    """Return the logging configuration. All logs go to standard error.
+
+    uvicorn logs errors only. Its warnings are about single bad requests, so clients could fill a disk with them.
     """
     loggers = {"skugga": "INFO", "uvicorn.error": "ERROR", "uvicorn.access": "ERROR"}
     return {
@@ -63,8 +64,9 @@ log = logging.getLogger("skugga")
 
 
 class Server(uvicorn.Server):
-    """Takes as many connections as it can serve, says where it listens, and stops without waiting for pictures that are still to
-    be drawn. SIGHUP looks at all levels' files anew, and at which there are; SIGUSR1 logs how the service is.
+    """A uvicorn server with a limit of connections, which stops without waiting for pending pictures.
+
+    SIGHUP checks the files of all levels and archives and reads the folder of levels; SIGUSR1 logs the service's status.
     """
 
     def __init__(self, config: uvicorn.Config, service: Service) -> None:
@@ -72,7 +74,7 @@ class Server(uvicorn.Server):
         self._service = service
 
     async def startup(self, sockets: Any = None) -> None:
-        """Listen."""
+        """Start the application, listen, install signal handlers and log the address."""
         config, settings = self.config, self._service.settings
         await self.lifespan.startup()
         if self.lifespan.should_exit:
@@ -103,42 +105,42 @@ class Server(uvicorn.Server):
         log.info("Skugga serves %s on http://%s:%d", names, f"[{host}]" if ":" in host else host, port)
 
     async def shutdown(self, sockets: Any = None) -> None:
-        """End animations and render processes, answer what waits for them, and stop."""
+        """Stop animations and render processes, answer pending requests, and stop the server."""
         await self._service.close()
         await super().shutdown(sockets)
         log.info("Skugga has stopped")
 
     def _take_signals(self) -> None:
-        with suppress(RuntimeError, ValueError, NotImplementedError):  # outside of the main thread there are none
+        with suppress(RuntimeError, ValueError, NotImplementedError):  # only the main thread handles signals
             loop = asyncio.get_running_loop()
             loop.add_signal_handler(signal.SIGHUP, self._reload)
             loop.add_signal_handler(signal.SIGUSR1, self._say_how_it_is)
 
     def _reload(self) -> None:
-        log.info("SIGHUP: looking at the files of all levels")
+        log.info("SIGHUP: checking the files of all levels and archives")
         self._service.levels.look_again()
         self._service.archives.look_again()
         self._read_folder()
 
     def _read_folder(self) -> None:
-        """Read the folder of levels in a thread of its own: that takes as long as it takes. Try again where none can be started."""
+        """Read the folder of levels in its own thread, without a time limit. Retry later if no thread can be started."""
         try:
             threading.Thread(target=self._service.levels.read_folder_again, name="read the folder of levels", daemon=True).start()
         except (RuntimeError, MemoryError) as error:
-            log.error("the folder of levels cannot be read: %s; trying again in %g s", error, FOLDER_AGAIN_S)
+            log.error("the folder of levels cannot be read: %s; retrying in %g s", error, FOLDER_AGAIN_S)
             asyncio.get_running_loop().call_later(FOLDER_AGAIN_S, self._read_folder)
 
     def _say_how_it_is(self) -> None:
         pool = self._service.pool
         log.info(
-            "SIGUSR1: %d connections, %d requests, %d pictures wait, %d are drawn, %d animations are not done, render processes %s",
+            "SIGUSR1: %d connections, %d requests, %d jobs queued, %d jobs running, %d animations pending, render processes %s",
             len(self.server_state.connections), len(self.server_state.tasks), pool.queued, pool.running,
             self._service.animations.going, sorted(pool.pids),
         )  # fmt: skip
 
 
 def connection_limit(settings: Settings) -> int:
-    """How many connections there may be: as the settings say, but no more than file descriptors are left for."""
+    """Return the limit of connections: that of the settings, or of the available file descriptors if lower."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY:
         return settings.max_connections
@@ -152,9 +154,9 @@ def connection_limit(settings: Settings) -> int:
 def serve(
     settings: Settings, levels: Sequence[Path | LevelSource], archives: Sequence[Path] = (), spawned: Spawned | None = None
 ) -> None:
-    """Serve levels and archives of tiles until SIGINT or SIGTERM; the first render process may have been ``spawned`` before.
+    """Serve levels and archives until SIGINT or SIGTERM.
 
-    Raises as ``create_app`` does.
+    ``spawned`` is the first render process, if it was started before. Raises the errors of ``create_app``.
     """
     app = create_app(settings, levels, archives=archives, spawned=spawned)
     config = uvicorn.Config(
@@ -166,7 +168,7 @@ def serve(
 
 
 def _listening(host: str, port: int) -> list[socket.socket]:
-    """Sockets that listen on all addresses of a host's name."""
+    """Return listening sockets for all addresses of a host name."""
     found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     addresses = dict.fromkeys((family, address) for family, _, _, _, address in found)
     return [socket.create_server(address, family=family, backlog=BACKLOG) for family, address in addresses]

@@ -1,4 +1,4 @@
-"""Round every request: its number, its line in the access log, its metrics, and headers that all answers have."""
+"""Middleware around every request: request id, access log, metrics, and headers of all answers."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from skugga.api.http.state.metrics import ServiceMetrics
 
 REQUEST_ID = "X-Request-ID"
 SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
-"""What a request may bring as its number: nothing that means anything in a log, a header or a page."""
+"""Accepted request ids of clients: without characters that are special in logs, headers or HTML."""
 
 KEPT = "skugga.kept"
-"""Key of a scope: the route that a kept answer stands for, before any was looked for."""
+"""Scope key with the route of an answer from the cache, which was sent before routing."""
 
 
 def page_policy(tiles: str = "'self'") -> str:
-    """What a page may load (Content Security Policy, level 3): nothing from elsewhere, but pictures and data from ``tiles``.
+    """Return the Content-Security-Policy (level 3) of a page: own resources only, with images and data from ``tiles``.
 
-    The map draws in workers that it makes of its own code.
+    Blob workers are allowed, since the map library creates workers from its own code.
     """
     return (
         f"default-src 'self'; img-src {tiles} data: blob:; connect-src {tiles}; style-src 'self' 'unsafe-inline'; "
@@ -39,7 +39,7 @@ def page_policy(tiles: str = "'self'") -> str:
 
 
 CLIENT_GONE = 499
-"""Status in logs and metrics of a request whose client has gone, as nginx has it; nobody reads it."""
+"""Status in logs and metrics of a request whose client has disconnected (as in nginx). It is never received."""
 
 METHODS = {"GET", "HEAD", "POST", "DELETE", "OPTIONS"}
 
@@ -50,7 +50,7 @@ access = logging.getLogger("skugga.access")
 
 
 class Watched:
-    """Numbers, counts and times requests, and answers what nobody foresaw. The outermost part of an application."""
+    """The outermost middleware: gives requests ids, counts and times them, and answers unexpected errors."""
 
     def __init__(self, app: ASGIApp, metrics: ServiceMetrics, access_log: bool) -> None:
         self.app, self.metrics, self.access_log = app, metrics, access_log
@@ -111,14 +111,14 @@ class Watched:
 
 
 class LogLine(logging.Formatter):
-    """Lines of a log, each with the number of the request that it is about, as text or as JSON."""
+    """Log formatter with the request id in each line, as text or as JSON."""
 
     def __init__(self, as_json: bool = False) -> None:
         super().__init__("%(asctime)s %(levelname)s %(message)s")
         self._as_json = as_json
 
     def format(self, record: logging.LogRecord) -> str:
-        """One line; a traceback follows it, or is in it."""
+        """Return a line of text followed by its traceback, or one line of JSON that includes it."""
         fields: dict[str, Any] = getattr(record, "fields", {})
         number = request_id.get()
         if not self._as_json:
@@ -140,7 +140,7 @@ def _number_of(scope: Scope) -> str:
 
 
 def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float) -> None:
-    """Give an answer what all of them have."""
+    """Add the headers that all answers have."""
     headers[REQUEST_ID] = number
     headers["X-Content-Type-Options"] = "nosniff"
     timings = headers.get("Server-Timing")
@@ -151,7 +151,7 @@ def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float
     location, public_url = headers.get("Location"), scope["app"].state.service.settings.public_url if "app" in scope else None
     if location is not None and public_url is not None:
         inner = str(Request(scope).base_url)
-        if location.startswith(inner):  # of the framework's own redirects
+        if location.startswith(inner):  # a redirect of Starlette
             headers["Location"] = f"{public_url.rstrip('/')}/{location.removeprefix(inner)}"
     expected = scope["state"].get("expected_time")
     if expected is not None:
@@ -162,11 +162,11 @@ def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float
 
 
 def _route(scope: Scope) -> str:
-    """The template of the address, and nothing that a client may choose."""
+    """Return the path template of the route, without parts that a client can choose."""
     route = scope.get(KEPT) or getattr(scope.get("route"), "path", None)
     return str(route) if route else "other"
 
 
 def _shown(text: str) -> str:
-    """A text of a client's in a log: short, on one line."""
+    """Return a client's text for a log: at most 500 characters on one line."""
     return re.sub(r"[^\x20-\x7e]", "?", text[:500])

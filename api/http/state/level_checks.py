@@ -149,7 +149,7 @@ class LevelCheck(Generic[LookedAt]):
     def _tell_exhausted(self, error: Exception) -> None:
         if not self._is_exhausted:
             self._is_exhausted = True
-            log.error("%s %s: its files cannot be checked: %s The last version is served.", self.what, self.name, error)
+            log.error("%s %s: its files cannot be checked: %s; the last version is served", self.what, self.name, error)
 
     def _note(self, outcome: LookedAt | SkuggaError) -> LookedAt:
         if isinstance(outcome, ExhaustedError):

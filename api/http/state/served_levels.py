@@ -117,7 +117,7 @@ class ServedLevel:
         """
         matrix_set_of(matrix_set)
         if self.world.off_earth_reason is not None:
-            raise UnsupportedError("level", self.name, f"{self.world.off_earth_reason}, so there are no tiles")
+            raise UnsupportedError("level", self.name, f"{self.world.off_earth_reason}, so it has no tiles")
         if matrix_set not in self.zooms:
             raise NotServedError("tms", f"tms: {self.name} lies outside of {matrix_set}. Use one of {', '.join(self.zooms)}.")
         return self.zooms[matrix_set]

@@ -1,1 +1,1 @@
-"""Tiles and maps of any extent, drawn or from archives."""
+"""Tiles and maps of any extent, rendered or from archives."""

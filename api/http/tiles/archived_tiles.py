@@ -1,4 +1,4 @@
-"""Tiles as they lie in archives."""
+"""Serve tiles from archives."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ log = logging.getLogger("skugga")
 
 
 async def read_tile(archive: ArchiveFile, zoom: int, x: int, y: int) -> bytes | None:
-    """A tile of an archive, read in a thread; ``None`` where it has none. Raises ``ArchiveError``, of which the log tells."""
+    """Read a tile of an archive in a thread; ``None`` if the archive lacks it. Logs and raises ``ArchiveError``."""
     try:
         return await run_in_threadpool(archive.tile, zoom, x, y)
     except ArchiveError as error:
@@ -25,8 +25,10 @@ async def read_tile(archive: ArchiveFile, zoom: int, x: int, y: int) -> bytes | 
 
 
 def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *asked: object, **more: str) -> EncodedTile:
-    """A tile that was read, with ``more`` headers. The tag is of its bytes and of what was ``asked``: it stays the same in all
-    services that have the tile, and where an archive is replaced that has it again.
+    """Return a tile of an archive with ``more`` headers.
+
+    Its entity tag depends on its bytes and on the request's parts ``asked``. All services with this tile therefore have the same
+    tag, and it stays the same if an archive is replaced by another one with the same tile.
     """
     tag = tag_of("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *asked)
     return EncodedTile(body, {**cache_headers(tag, fresh_s), "Server-Timing": "archive;desc=read", **more}, archive.media_type)

@@ -1,4 +1,4 @@
-"""Legends of layers as pictures."""
+"""Render legends of layers."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from skugga.terrain.errors import InputError
 async def legend_answer(
     request: Request, served: ServedLevel, asked: ProductRequest, format: LegendFormat, parameter: str = "layer"
 ) -> Response:
-    """The legend of a product as a picture. Raises ``InputError`` for one without a legend, named by the ``parameter``."""
+    """Return the legend of a product as a picture. Raises ``InputError`` about ``parameter`` if it has no legend."""
     color_scale = asked.record.color_scale
     if color_scale is None:
         with_legends = ", ".join(products_with(lambda each: each.color_scale))
-        raise InputError(parameter, asked.product, f"a layer with a legend: {with_legends}")
+        raise InputError(parameter, asked.product, f"a layer with a legend ({with_legends})")
     headers = cache_headers(tag_of("legend", format, served.version, asked.query()), GIVEN_SUN_S)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)

@@ -1,4 +1,4 @@
-"""Where a map of any extent lies: CRSs by their codes, the order of their axes, extents and sizes that a request may ask for."""
+"""Parse and check the extent of a map: CRS codes, axis order, bounding boxes and sizes."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ MapBounds = tuple[float, float, float, float]
 """West, south, east, north in units of a CRS."""
 
 LONGEST_SIDE_PX = 1024
-"""Of a map whose request names no size."""
+"""Longer side of a map whose request has no size."""
 
 CRS_WORDS = "a projected or geographic CRS by its code, as EPSG:3857 or OGC:CRS84"
 
 _CODE = re.compile(r"(EPSG|ESRI|OGC|IGNF):(?::)?[A-Za-z0-9]{1,16}", re.IGNORECASE)
 _URN = re.compile(r"urn:ogc:def:crs:(\w+):[\w.]*:(\w+)", re.IGNORECASE)
 _WMS_CODES = {"CRS:84": "OGC:CRS84", "CRS:83": "OGC:CRS83", "CRS:27": "OGC:CRS27"}
-"""Longitude and latitude as WMS 1.3.0, B.3 to B.5, calls them."""
+"""CRSs of longitude and latitude by their names in WMS 1.3.0, B.3 to B.5."""
 
 
 def crs_code(text: str) -> str:
-    """A CRS's code as PROJ reads it: nothing that could name a file. Raises ``InputError``."""
+    """Return a CRS's code in PROJ's spelling. Raises ``InputError`` for other texts, which could name files."""
     urn = _URN.fullmatch(text)
     code = _WMS_CODES.get(
         text.upper(), f"{urn[1]}:{urn[2]}" if urn else f"EPSG:{text}" if text.isascii() and text.isdigit() else text
@@ -43,7 +43,7 @@ def crs_code(text: str) -> str:
 
 @cached("process", MIB, size_of=lambda _: 2**14)
 def crs_of_code(code: str) -> CRS:
-    """The CRS of a code as ``crs_code`` gives it. Raises ``InputError``."""
+    """Return the CRS of a code from ``crs_code``. Raises ``InputError``."""
     try:
         crs = CRS.from_user_input(code)
     except CRSError:
@@ -55,13 +55,16 @@ def crs_of_code(code: str) -> CRS:
 
 
 def north_first(crs: CRS) -> bool:
-    """Whether a CRS's first axis is its northing or latitude: WMS 1.3.0 has extents in the order of a CRS's own axes."""
+    """Return whether a CRS's first axis is northing or latitude: WMS 1.3.0 orders extents by the axes of the CRS."""
     name = crs.axis_info[0].name.lower() if crs.axis_info else ""
     return "northing" in name or "latitude" in name
 
 
 def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBounds:
-    """West, south, east, north of four numbers; ``swapped``: of south, west, north, east. Raises ``InputError``."""
+    """Return (west, south, east, north) from a text of four numbers. Raises ``InputError``.
+
+    The text has that order, too; with ``swapped`` it is south, west, north, east.
+    """
     values = [value for part in text.split(",") if (value := decimal_in(part)) is not None]
     if len(values) != 4 or text.count(",") != 3:
         raise InputError(name, text[:100], "four numbers: " + ("south,west,north,east" if swapped else "west,south,east,north"))
@@ -69,14 +72,14 @@ def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBou
     if not (west < east and south < north):
         raise InputError(name, text[:100], "west < east and south < north, in the order of the CRS's axes")
     if max(map(abs, values)) > 1e9:
-        raise InputError(name, text[:100], "coordinates below 1e9")
+        raise InputError(name, text[:100], "coordinates between -1e9 and 1e9")
     return west, south, east, north
 
 
 def bounds_in(level: ServedLevel, crs: CRS) -> MapBounds:
-    """What is looked at of a level, in a CRS. Raises ``InputError`` where the CRS does not hold it, or the world is flat."""
+    """Return the bounds of a level in a CRS. Raises ``InputError`` if the CRS does not cover it or the world is flat."""
     if level.bounds is None:
-        raise UnsupportedError("level", level.name, f"{level.world.off_earth_reason}: its maps have no CRS and no bbox")
+        raise UnsupportedError("level", level.name, f"{level.world.off_earth_reason}, so its maps have no CRS and no bbox")
     try:
         west, south, east, north = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*level.bounds, densify_pts=21)
     except ProjError:
@@ -87,7 +90,7 @@ def bounds_in(level: ServedLevel, crs: CRS) -> MapBounds:
 
 
 def map_size(width: int | None, height: int | None, aspect: float) -> tuple[int, int]:
-    """(width, height) in pixels of a map that is ``aspect`` times as wide as high; what is not given follows from the other."""
+    """Return (width, height) of a map in pixels. A missing side follows from the other by ``aspect`` (width / height)."""
     if width is None and height is None:
         width, height = (LONGEST_SIDE_PX, None) if aspect >= 1.0 else (None, LONGEST_SIDE_PX)
     if width is None:
@@ -97,7 +100,7 @@ def map_size(width: int | None, height: int | None, aspect: float) -> tuple[int,
 
 
 def check_side(name: str, pixels: int) -> int:
-    """A side of a map. Raises ``InputError``."""
+    """Return a checked side of a map in pixels. Raises ``InputError``."""
     if not 1 <= pixels <= MAX_PERSPECTIVE_PX:
-        raise InputError(name, pixels, f"pixels, 1 to {MAX_PERSPECTIVE_PX}")
+        raise InputError(name, pixels, f"1 to {MAX_PERSPECTIVE_PX} pixels")
     return pixels

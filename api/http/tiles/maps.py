@@ -1,4 +1,4 @@
-"""Maps of any extent: one way for the route of maps and for WMS."""
+"""Answer requests for maps of any extent, for the route of maps and for WMS."""
 
 from __future__ import annotations
 
@@ -19,16 +19,32 @@ from skugga.api.workers.jobs import MapJob
 from skugga.terrain.errors import InputError
 
 SAME_DEGREES = {"OGC:CRS84": "EPSG:4326"}
-"""CRSs that differ in the order of axes alone, which extents have no longer: then their maps share the grid of tiles."""
+"""CRSs that differ in axis order only, by the CRS that replaces them.
+
+Extents have a fixed axis order here, so both can share the grid of tiles."""
 
 THINNEST = 4.0
-"""How many times as long as wide pixels may be."""
+"""Maximum aspect ratio of pixels."""
 
 
 @dataclass(frozen=True)
 class MapQuery:
-    """What is asked of a map: its extent in a CRS (its code; ``None`` in a flat world), (width, height) in pixels, what it shows,
-    the format, and what is behind what is transparent (``RRGGBB``, or nothing).
+    """A request for a map.
+
+    Attributes
+    ----------
+    bounds : tuple of float or None
+        West, south, east, north in units of the CRS; ``None`` in a flat world.
+    crs : str or None
+        Code of the CRS; ``None`` in a flat world.
+    size : tuple of int
+        (width, height) in pixels.
+    shown : ProductRequest
+        The product and its picture settings.
+    format : MapFormat
+        The file format.
+    background : str or None
+        Colour behind transparent pixels, ``RRGGBB``; ``None`` keeps them transparent.
     """
 
     bounds: MapBounds | None
@@ -40,7 +56,7 @@ class MapQuery:
 
 
 async def map_answer(request: Request, service: Service, level: ServedLevel, asked: MapQuery) -> Response:
-    """The map of a level, or 304 where the client has it. Raises ``SkuggaError``."""
+    """Return the map of a level, or 304 if the client's copy is current. Raises ``SkuggaError``."""
     wanted, product = asked.shown, asked.shown.record
     check_format(product, asked.format)
     check_pixels(asked.size, service.settings.max_snapshot_pixels)

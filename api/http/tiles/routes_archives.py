@@ -1,4 +1,4 @@
-"""Archives of tiles, served as they are: nothing is drawn."""
+"""Routes for archives of tiles, which are served without rendering."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ EndingPath = Annotated[str, Path(description="The format that the archive's tile
     responses=file_docs("All archives.", [JSON_MEDIA]),
 )
 async def archives(request: Request, service: TheService) -> Response:
-    """Every archive that the service was started with: its name, title, attribution, bounds in degrees, zooms, its tiles' format,
-    and their layer where this service's own command has drawn them.
+    """Return every archive that the service was started with: name, title, attribution, bounds in degrees, zooms and format.
+
+    The layer is included if this service's own command made the archive.
     """
     found = []
     for name in service.archives.names():
         try:
             found.append(archive_facts(name, await service.archives.current(name)))
-        except ArchiveError:  # the log tells
+        except ArchiveError:  # already logged
             continue
     return json_answer(request, found)
 
@@ -50,7 +51,7 @@ async def archives(request: Request, service: TheService) -> Response:
     responses=file_docs("TileJSON.", [JSON_MEDIA]),
 )
 async def archive_tilejson(request: Request, service: TheService, archive: ArchivePath) -> Response:
-    """TileJSON 3.0.0 for map clients. Layers of heights have their `encoding`; `skugga` is what the archive itself says there."""
+    """Return TileJSON 3.0.0 for map clients. Layers of heights have their `encoding`; `skugga` is that of the metadata."""
     served = await service.archives.current(archive)
     facts = archive_facts(archive, served)
     address = f"{base_url(request, service.settings.public_url)}/archives/{quote(archive)}"
@@ -74,19 +75,20 @@ async def archive_tilejson(request: Request, service: TheService, archive: Archi
 async def archive_tile(
     request: Request, service: TheService, archive: ArchivePath, z: ZoomPath, x: ColumnPath, y: RowPath, format: EndingPath
 ) -> Response:
-    """A tile in Web Mercator, byte by byte as it lies in the archive. Inside of the archive's zooms, a tile that it has not is one
-    without data.
+    """Return a tile in Web Mercator, byte for byte as in the archive.
+
+    A tile that the archive lacks, inside its zooms, is a tile without data.
     """
     served = await service.archives.current(archive)
     if format != served.format:
-        raise NotServedError("format", f"The tiles of {archive} are {served.format}.")
+        raise NotServedError("format", f"format: the tiles of {archive} are not {format[:20]}. Use {served.format}.")
     if z not in served.zooms:
-        raise NotServedError("z", f"{archive} has tiles of zooms {served.zooms[0]} to {served.zooms[-1]}.")
+        raise NotServedError("z", f"z: {archive} has no zoom {z}. Use {served.zooms[0]} to {served.zooms[-1]}.")
     if not (0 <= x < 2**z and 0 <= y < 2**z):
-        raise NotServedError("x", f"Zoom {z} has columns and rows 0 to {2**z - 1}.")
+        raise NotServedError("x", f"x: tile {x}, {y} is outside of zoom {z}. Use columns and rows 0 to {2**z - 1}.")
     body = await read_tile(served, z, x, y)
     if body is None:
         if service.settings.empty_tile == "404":
-            raise NotServedError("x", f"{archive} has no tile {x}, {y} of zoom {z}.")
+            raise NotServedError("x", f"x: {archive} has no tile {x}, {y} at zoom {z}.")
         return Response(status_code=204, headers=cache_headers(tag_of(served.version, z, x, y), OWN_SUN_S))
     return archived_tile(body, served, OWN_SUN_S).answer(request)

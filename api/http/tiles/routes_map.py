@@ -1,4 +1,4 @@
-"""Maps: any extent of a level as one picture, in any CRS."""
+"""The route for maps: any extent of a level as one picture, in any CRS."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from skugga.api.http.tiles.maps import MapQuery, map_answer
 from skugga.api.http.tiles.tile_docs import JPEG, PICTURE_DOCS
 from skugga.api.products.product import MapFormat
 from skugga.api.request import ProductRequest
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 
 router = APIRouter(tags=["maps"], responses=PICTURE_DOCS, default_response_class=Response)
 
@@ -50,7 +50,10 @@ async def map_of_level(
     ] = None,
     height: Annotated[int | None, PLAIN_WHOLE, Query(description="Pixels; default: by the width.", examples=[256])] = None,
 ) -> Response:
-    """A map of an extent, always with x (or longitude) first; off the data it is transparent, or has no values."""
+    """Return a map of an extent.
+
+    The extent always has x (or longitude) first. Pixels without data are transparent, or nodata in arrays.
+    """
     served = await service.level(level)
     sides = {name: check_side(name, value) for name, value in (("width", width), ("height", height)) if value is not None}
     if served.world.off_earth_reason is not None:
@@ -76,6 +79,7 @@ def _off_the_earth(
 ) -> MapQuery:
     for name, value in (("bbox", bbox), ("crs", crs)):
         if value is not None:
-            raise InputError(name, value, f"nothing: {level.world.off_earth_reason}, and its map is the whole level")
+            fault = Problem(f"cannot be used, since {level.world.off_earth_reason}")
+            raise InputError(name, fault, "Leave it out: the map is the whole level")
     own = level.view_sizes["map"] or (1, 1)
     return MapQuery(None, None, map_size(sides.get("width"), sides.get("height"), own[0] / own[1]), wanted, format)

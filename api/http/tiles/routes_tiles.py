@@ -1,4 +1,4 @@
-"""Tiles."""
+"""Routes for tiles."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ async def double_tile(
     format: FormatPath,
     wanted: Annotated[ProductRequest, Depends(tile_query)],
 ) -> Response:
-    """The four tiles of the next zoom that cover the tile, for dense screens."""
+    """Return a tile with twice the pixels a side, for dense screens: the four tiles of the next zoom in one picture."""
     return await tile_answer(request, service, level, tms, (z, x, y), 2, format, wanted)
 
 
@@ -58,5 +58,8 @@ async def tile(
     format: FormatPath,
     wanted: Annotated[ProductRequest, Depends(tile_query)],
 ) -> Response:
-    """A tile of a level. Off its data, but inside its zooms, it is transparent (a setting makes it 204 or 404)."""
+    """Return a tile of a level.
+
+    A tile without data inside the level's zooms is transparent; a setting makes it 204 or 404.
+    """
     return await tile_answer(request, service, level, tms, (z, x, y), 1, format, wanted)

@@ -1,4 +1,4 @@
-"""A tile of a level: from an archive, from what was encoded before, or drawn."""
+"""Answer requests for tiles of a level: from an archive, from the cache, or by rendering."""
 
 from __future__ import annotations
 
@@ -33,13 +33,34 @@ async def tile_answer(
     format: MapFormat,
     wanted: ProductRequest,
 ) -> Response:
-    """A tile of a level in a matrix set by zoom, column and row; ``scale`` 2 gives it twice as many pixels a side. Raises
-    ``SkuggaError``.
+    """Return a tile of a level.
+
+    Parameters
+    ----------
+    request, service
+        The request and the service.
+    name
+        Name of the level.
+    tms
+        Name of the tile matrix set.
+    zxy
+        Zoom, column and row.
+    scale
+        1, or 2 for twice the pixels a side.
+    format
+        The file format.
+    wanted
+        The product and its picture settings.
+
+    Raises
+    ------
+    SkuggaError
+        The parameters are wrong, or the job fails.
     """
     level, matrix_set = await service.level(name), matrix_set_of(tms)
     check_tile(matrix_set, level.zooms_in(tms), *zxy)
     if scale == 2 and not doubles(matrix_set, zxy[0]):
-        raise NotServedError("z", f"{tms} has no @2x tiles at zoom {zxy[0]}.")
+        raise NotServedError("z", f"z: {tms} has no @2x tiles at zoom {zxy[0]}. Use tiles without @2x.")
     product = wanted.record
     check_format(product, format)
     assert level.data_bounds is not None  # it has zooms, so it has a place on earth
@@ -49,7 +70,7 @@ async def tile_answer(
     archives = await service.archives.of_level(level)
     archive = archives.answering(product.name, format, tms, wanted.product_query(), zxy[0]) if scale == 1 and not empty else None
     if archive is not None:
-        with suppress(ArchiveError):  # the log tells; the tile is drawn
+        with suppress(ArchiveError):  # already logged; the tile is rendered instead
             body = await read_tile(archive, *zxy)
             if body is not None:
                 fresh_s, asked = service.fresh_s(request, longest_s), (name, zxy, wanted.query())
@@ -58,11 +79,11 @@ async def tile_answer(
                 return read.answer(request)
             empty = True
     if empty and service.settings.empty_tile == "404":
-        raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
+        raise NotServedError("x", f"x: {name} has no data in tile {zxy[1]}, {zxy[2]} at zoom {zxy[0]}.")
 
     tag_parts: tuple[object, ...] = (level.version, name, tms, zxy, scale, format, product.name, wanted.query())
     if archive is not None and empty:
-        tag_parts += (archive.version,)  # drawn, the tile may be another one
+        tag_parts += (archive.version,)  # a rendered tile may differ
     of_time = time_headers(request)
     headers = cache_headers(tag_of(*by, *tag_parts), service.fresh_s(request, longest_s)) | of_time
     if is_fresh(request, headers["ETag"]):
@@ -92,7 +113,7 @@ async def tile_answer(
     assert isinstance(block, BlockTiles)
     by = block.renderer, block.plan_version
     tag = tag_of(*by, *tag_parts)
-    fresh_s = service.fresh_s(request, longest_s)  # asked again: a tile whose plan lacks a probe is fresh for less
+    fresh_s = service.fresh_s(request, longest_s)  # computed again: a pending probe shortens the lifetime
     made, again = (
         cache_headers(tag, fresh_s) | of_time | drawn_headers(block, "block", kept, block.encode_ms)
         for kept in (kept or not block.drawn, True)

@@ -1,4 +1,4 @@
-"""What the documentation says of tiles, maps and snapshots."""
+"""OpenAPI responses of tiles, maps and snapshots."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PICTURE_DOCS: Answers = {
 EMPTY_DOCS: Answers = {204: {"description": "No data there, where `SKUGGA_EMPTY_TILE` is 204."}}
 
 EXACT = format_list([f"`{name}`" for name in MAP_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
-"""Layers to compute with, in words."""
+"""Layers of data (not for display), as a list in words."""
 
 JPEG = format_list([f"`{name}`" for name in MAP_PRODUCTS if "jpg" in PRODUCTS[name].formats], max_items=len(PRODUCTS))
-"""Layers that there are as JPEG, in words."""
+"""Layers that are available as JPEG, as a list in words."""

@@ -1,4 +1,4 @@
-"""TileJSON 3.0.0, of levels and of archives."""
+"""Build TileJSON 3.0.0 documents of levels and archives."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ def tilejson_answer(
     bounds: tuple[float, float, float, float],
     more: dict[str, Any],
 ) -> Response:
-    """TileJSON of tiles at a template of addresses, of the first to the last of ``zooms``, or 304 where the client has it.
+    """Return a TileJSON document, or 304 if the client's copy is current.
 
-    ``bounds`` are west, south, east and north in degrees; ``more`` are entries beyond those that every TileJSON has.
+    ``tiles`` is the URL template, and ``zooms`` has the first and last zoom. ``bounds`` are west, south, east and north in degrees.
+    ``more`` has further entries.
     """
     west, south, east, north = bounds
     return json_answer(

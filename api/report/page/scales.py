@@ -49,7 +49,7 @@ class Scale:
 def scale_of(values: list[float], start_px: float, end_px: float, margin: float = 1.35) -> Scale:
     """Return the scale of some values, with a margin as a ratio at both ends and a position for zero if a value is zero.
 
-    It spans at least a decade. If all values are zero, it spans a decade around ``0.1 ** 0.5``.
+    It spans at least a decade. If all values are zero, it runs from 0.1 to 1.
     """
     positive = [value for value in values if value > 0.0] or [0.1 * margin, 1.0 / margin]
     low, high = min(positive) / margin, max(positive) * margin

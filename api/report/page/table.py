@@ -61,7 +61,7 @@ def milliseconds(value: float) -> str:
 COLUMNS = [
     Column("ms_median", "time", "ms", milliseconds, "Wall clock of a frame's shadow work, median of its runs."),
     Column("ms_p95", "p95", "ms", milliseconds, "95th percentile of the times of the runs."),
-    Column("wrong_cast", "wrong cast", "%", fixed(3, 100), "Wrong pixels as a share of the pixels in cast shadow by truth or by the row."),
+    Column("wrong_cast", "wrong cast", "%", fixed(3, 100), "Wrong pixels as a share of the cast shadow of truth or the row."),
     Column(
         "soft_error", "soft error", "%", fixed(3, 100),
         "Mean difference of visibility from ray-traced truth with an area light (the sun's disc): the error of soft edges.",

@@ -31,7 +31,7 @@ def probed(gl, run, hills_level: Path, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(map_probing, "probed_scales", lambda scene: range(3, 5))
     status, out, err = run("select", str(hills_level), "--all-scales", "--budget", "1s", "--write", "--json")
-    assert status == 0 and err.startswith("Kept in "), err
+    assert status == 0 and err.startswith("Saved to "), err
     return list(json.loads(out))
 
 

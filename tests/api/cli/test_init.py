@@ -31,14 +31,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("crs", ["EPSG:32633", ENGINEERING])
 def test_it_is_the_rasters_own_level(run, folder, crs):
     raster = hills(folder, crs)
-    assert run("init", "dem.tif") == (0, "Wrote dem.yaml. To see it: skugga serve dem.yaml\n", "")
+    assert run("init", "dem.tif") == (0, "Wrote dem.yaml. To view it: skugga serve dem.yaml\n", "")
     written, own = load_level(folder / "dem.yaml"), build_scene(load_level(raster)).loaded
     assert written.source == own.source == str(raster)
     keep = {"views"}
     assert written.level.model_dump(exclude=keep) == own.level.model_dump(exclude=keep)
     assert list(written.level.views) == ["map", "view"]
     status, out, err = run("validate", "dem.yaml")
-    assert (status, err) == (0, "") and "right. dem; views: map, view" in out
+    assert (status, err) == (0, "") and "valid. dem; views: map, view" in out
 
 
 def test_the_view_can_be_drawn_and_is_full_of_lit_and_shaded_ground(gl, run, folder):

@@ -199,8 +199,8 @@ def test_validate_says_what_heights_are_taken_as(run, site):
         (("validate", "dem.tif", "--buildings", "canopy.tif"), ("canopy.tif",)),
         (("validate", "dem.tif", "--canopy", "level.yaml"), ("level.yaml",)),
         (("validate", "dem.tif", "--nodata", "many"), ("--nodata",)),
-        (("serve", "--nodata", "0"), ("--nodata", "one LEVEL")),
-        (("serve", "dem.tif", "canopy.tif", "--canopy", "canopy.tif"), ("--canopy", "one LEVEL")),
+        (("serve", "--nodata", "0"), ("--nodata", "exactly one LEVEL")),
+        (("serve", "dem.tif", "canopy.tif", "--canopy", "canopy.tif"), ("--canopy", "exactly one LEVEL")),
     ],
 )
 def test_wrong_options_are_one_line(run, site, monkeypatch, arguments, words):

@@ -98,7 +98,7 @@ def test_options_change_the_picture(gl, run, tmp_path):
     ("arguments", "words"),
     [
         (("render", "nowhere", "-o", "x.png"), ("nowhere", "jacksboro")),
-        (("render", "jacksboro", "-o", "x.gif"), ("output", "x.gif", ".png")),
+        (("render", "jacksboro", "-o", "x.gif"), ("--output", "x.gif", ".png")),
         (("render", "jacksboro", "--layer", "sparkle", "-o", "x.png"), ("layer", "sparkle", "visibility")),
         (("render", "jacksboro", "--layer", "position", "-o", "x.png"), ("x.png", ".npy")),
         (("render", "jacksboro", "--size", "0x5", "-o", "x.png"), ("--size", "0x5", "16384")),
@@ -238,7 +238,7 @@ def test_doctor_finds_this_machine_able_to_draw(gl, run):
     findings = {finding["subject"]: finding for finding in json.loads(out)}
     assert findings["OpenGL"]["ok"] and gl.renderer in findings["OpenGL"]["detail"]
     assert findings["a shadowed map"]["ok"]
-    used = [subject for subject, finding in findings.items() if finding["detail"].endswith("drawn with")]
+    used = [subject for subject, finding in findings.items() if finding["detail"].endswith("in use")]
     assert used == [f"EGL device {gl.egl_device.index}"] and gl.renderer in findings[used[0]]["detail"]
     assert status == (0 if all(finding["ok"] for finding in findings.values()) else 1)
 
@@ -247,7 +247,7 @@ def test_a_raster_is_a_level(gl, run, tmp_path):
     row, col = np.mgrid[:200, :200].astype(np.float32)
     raster = write_geotiff(tmp_path / "hills.tif", 400 * np.sin(col / 9) * np.cos(row / 13), "EPSG:32633", 500e3, 5200e3, 30.0)
     status, out, err = run("render", str(raster), "--layer", "mask", "-o", str(tmp_path / "mask.png"))
-    assert (status, out, err.count("\n")) == (0, "", 1) and "its own light" in err and "--time" in err
+    assert (status, out, err.count("\n")) == (0, "", 1) and "its default light" in err and "--time" in err
     mask = np.asarray(Image.open(tmp_path / "mask.png"))
     assert 0.05 < (mask == MASK_SHADOW).mean() < 0.6
     status, out, _ = run("validate", str(raster))

@@ -137,8 +137,8 @@ def test_a_gpx_is_a_track_and_its_points_have_times(run, valley, tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("p.csv", "lon,lat,time\n15.0,47.5,2024-10-21T08:00\n", "p.csv: 'line 2: time = 2024-10-21T08:00'; needed: an ISO 8601"),
-        ("p.csv", "lon,lat\n15.0,47.5\n15.0,north\n", "p.csv: 'line 3: 15.0,north'; needed: numbers"),
+        ("p.csv", "lon,lat,time\n15.0,47.5,2024-10-21T08:00\n", "p.csv: line 2: the time '2024-10-21T08:00' is not allowed. Allowed: an ISO 8601"),
+        ("p.csv", "lon,lat\n15.0,47.5\n15.0,north\n", "p.csv: line 3: 15.0,north has no valid coordinates or height. Give numbers"),
         (
             "p.geojson",
             json.dumps({
@@ -147,7 +147,7 @@ def test_a_gpx_is_a_track_and_its_points_have_times(run, valley, tmp_path):
                     for time in ("2024-10-21T08:00:00Z", "soon")
                 ],
             }),
-            "p.geojson: 'feature 2 of 2: time = soon'; needed: an ISO 8601 time",
+            "p.geojson: feature 2 of 2: the time 'soon' is not allowed. Allowed: an ISO 8601 time",
         ),
     ],
 )  # fmt: skip
@@ -162,20 +162,20 @@ def test_one_bad_point_among_many_is_named(run, valley, tmp_path, name, text, sa
     [
         (["--at", "0,0"], "point: '0,0' is not allowed. Allowed: a place on the level's data: longitudes 14.9"),
         (["--at", "here"], "--at: 'here' is not allowed"),
-        ([], "--at: missing; allowed: LON,LAT"),
+        ([], "--at: missing. Give LON,LAT"),
         ([AT], "unexpected extra argument"),
-        (["--at", AT, "--date", "monday"], "date: 'monday' is not allowed. Allowed: a calendar date such as 2024-03-21"),
-        (["--at", AT, "--clock", "Mars", "--date", "2024-01-01"], "clock: 'Mars' is not allowed"),
-        (["--at", AT, "--clock", "", "--date", "2024-01-01"], "clock: '' is not allowed. Allowed: solar, utc, an offset"),
+        (["--at", AT, "--date", "monday"], "--date: 'monday' is not allowed. Allowed: a calendar date such as 2024-03-21"),
+        (["--at", AT, "--clock", "Mars", "--date", "2024-01-01"], "--clock: 'Mars' is not allowed"),
+        (["--at", AT, "--clock", "", "--date", "2024-01-01"], "--clock: '' is not allowed. Allowed: solar, utc, an offset"),
         (["--at", AT, "--clock", "Pacific/Apia", "--date", "2011-12-30"], "date: '2011-12-30' is not allowed"),
         (["--at", AT, "--height", "-3"], "--height: '-3.0' is not allowed"),
         (["--at", AT, "--horizon", "roof.hor"], "--horizon: 'roof.hor' is not allowed. Allowed: pvgis-csv, pvgis-json"),
-        (["--at", AT, "--output", "roof.hor"], "--output: 'roof.hor' is not allowed. Allowed: --horizon FORMAT beside it"),
-        (["--at", AT, "--horizon", "hor", "--json"], "--json: 'given' is not allowed. Allowed: --output FILE"),
-        (["--at", AT, "--start", TIME], "a track to begin then: --line FILE"),
-        (["--at", AT, "--points", "huts.csv"], "--at: '15.0,47.5' is not allowed. Allowed: no --points beside it"),
-        (["--line", "tour.gpkg", "--horizon", "hor"], "--horizon: 'hor' is not allowed. Allowed: no --line beside it"),
-        (["--line", "tour.gpkg", "--points", "huts.csv"], "--line: 'tour.gpkg' is not allowed. Allowed: no --points beside it"),
+        (["--at", AT, "--output", "roof.hor"], "--output: needs a horizon format. Add --horizon FORMAT: pvgis-csv"),
+        (["--at", AT, "--horizon", "hor", "--json"], "--json: cannot be combined with --horizon. Add --output FILE"),
+        (["--at", AT, "--start", TIME], "--start: needs a track. Add --line FILE"),
+        (["--at", AT, "--points", "huts.csv"], "--at: cannot be combined with --points. Use one of them."),
+        (["--line", "tour.gpkg", "--horizon", "hor"], "--horizon: cannot be combined with --line. Use one of them."),
+        (["--line", "tour.gpkg", "--points", "huts.csv"], "--line: cannot be combined with --points. Use one of them."),
         (["--at", AT, "--picture", "x.gif"], "--picture: 'x.gif' is not allowed. Allowed: .svg or .png"),
         (["--at", AT, "--crs", "EPSG:0"], "--crs: 'EPSG:0' is not allowed"),
         (["--points", "nowhere.csv"], "nowhere.csv"),

@@ -77,11 +77,11 @@ def test_a_pin_for_all_views_takes_the_place_of_the_list_and_back(run, level):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--view", "eye"), ("--view", "eye", "nothing beside --all-views")),
-        (("--size", "9x9"), ("--size", "9x9", "nothing beside --all-views")),
-        (("--descriptor", "x.json"), ("--descriptor", "x.json", "nothing beside --all-views")),
+        (("--view", "eye"), ("--view: cannot be combined with --all-views",)),
+        (("--size", "9x9"), ("--size: cannot be combined with --all-views",)),
+        (("--descriptor", "x.json"), ("--descriptor: cannot be combined with --all-views",)),
         (("--policy", "guess"), ("--policy", "guess", "rules, predict")),
-        (("--azimuth", "0", "--altitude", "-30", "--write"), ("--write", "all views", "cast shadow")),
+        (("--azimuth", "0", "--altitude", "-30", "--write"), ("--write", "no view", "cast shadow")),
     ],
 )
 def test_wrong_input_is_one_line(run, level, arguments, words):

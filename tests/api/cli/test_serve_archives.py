@@ -30,7 +30,7 @@ WRONG: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "a picture": (lambda content: PNG, "not a PMTiles archive"),
     "version 2": (lambda content: b"PM\x02\x00" + content[4:], "of an earlier version"),
     "version 4": (lambda content: _patched(content, 7, "<B", 4), "of version 4"),
-    "vector tiles": (lambda content: _patched(content, 99, "<B", 1), "vector tiles, and those are not served"),
+    "vector tiles": (lambda content: _patched(content, 99, "<B", 1), "vector tiles, which are not served"),
     "tiles of no kind": (lambda content: _patched(content, 99, "<B", 0), "unknown kind"),
     "a type that there is not": (lambda content: _patched(content, 99, "<B", 77), "its header is wrong"),
     "zstd": (lambda content: _patched(content, 97, "<B", 4), "directories are compressed by zstd"),

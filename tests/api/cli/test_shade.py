@@ -22,7 +22,7 @@ def raster(tmp_path: Path) -> Path:
 
 def test_from_a_raster_to_its_mask_is_one_command(run, raster, tmp_path):
     status, out, err = run("shade", str(raster), "-o", str(tmp_path / "mask.tif"))
-    assert (status, out) == (0, "") and err.startswith("skugga: dem is drawn with its own light")
+    assert (status, out) == (0, "") and err.startswith("skugga: dem is drawn with its default light")
     with rasterio.open(tmp_path / "mask.tif") as dataset:
         assert 0.02 < (dataset.read(1) == 0).mean() < 0.7
 
@@ -30,10 +30,10 @@ def test_from_a_raster_to_its_mask_is_one_command(run, raster, tmp_path):
 def test_on_a_terminal_it_is_said_which_sun_nobody_chose(run, raster, tmp_path, monkeypatch):
     monkeypatch.setattr("skugga.api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
     status, _, err = run("shade", str(raster), "-o", str(tmp_path / "mask.tif"))
-    assert status == 0 and err.startswith("skugga: dem is drawn with its own light, the sun ") and "--time" in err
+    assert status == 0 and err.startswith("skugga: dem is drawn with its default light, the sun ") and "--time" in err
     asked = "--azimuth", "200", "--altitude", "30"
     status, _, err = run("shade", str(raster), *asked, "-o", str(tmp_path / "mask.tif"))
-    assert status == 0 and "own light" not in err
+    assert status == 0 and "default light" not in err
 
 
 def test_a_day_of_masks(run, raster, tmp_path):

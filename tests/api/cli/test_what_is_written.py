@@ -96,7 +96,7 @@ def test_a_whole_day_of_solar_time_is_said_as_one(run, raster, tmp_path):
 def test_a_sun_that_nobody_chose_is_said_everywhere(run, raster, tmp_path):
     status, out, err = run("shade", str(raster), "-o", str(tmp_path / "mask.tif"))
     assert (status, out, err.count("\n")) == (0, "", 1)
-    assert "dem is drawn with its own light, the sun " in err and "--time" in err
+    assert "dem is drawn with its default light, the sun " in err and "--time" in err
     level = tmp_path / "level.yaml"
     level.write_text("version: 1\nterrain: {source: dem.tif}\nsun: {azimuth: 235, altitude: 22}\n")
     assert run("shade", str(level), "-o", str(tmp_path / "mask.tif")) == (0, "", "")

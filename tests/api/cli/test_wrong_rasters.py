@@ -31,7 +31,7 @@ WRONG = {
     "nothing.tif": ("neither a level file nor a raster",),
     "cut.tif": ("neither a level file nor a raster",),
     "bytes.tif": ("not UTF-8 text", "a raster that GDAL reads"),
-    "folder": ("folder is a folder", "a level file or a raster, as inside.tif"),
+    "folder": ("folder is a folder", "Use a level file or a raster, such as inside.tif"),
     "missing.tif": ("no file missing.tif",),
     "missing": ("'missing' is not allowed", "jacksboro"),
 }

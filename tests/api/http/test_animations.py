@@ -347,7 +347,7 @@ def test_a_service_that_stops_leaves_nothing(hills_level: Path):
         ({"step": None}, "step", "missing"),
         ({"step": "often"}, "step", "a number and s, m, h or d"),
         ({"step": "0s"}, "step", "at least"),
-        ({"step": "1s"}, "step", "at most 720 frames"),
+        ({"step": "1s"}, "step", "limit of 720 frames"),
         ({"step": 5}, "step", "a valid string"),
         ({"fps": 0}, "fps", "0.1 to 120"),
         ({"fps": "fast"}, "fps", "a valid number"),

@@ -325,7 +325,7 @@ def test_an_archive_that_is_replaced_or_broken_while_it_is_served(serve, tmp_pat
 def test_two_archives_of_one_name(tmp_path: Path):
     (tmp_path / "b").mkdir()
     paths = [write_tiles(folder / "a.pmtiles", {(2, 0, 0): PNG}) for folder in (tmp_path, tmp_path / "b")]
-    with pytest.raises(InputError, match="files of different names"):
+    with pytest.raises(InputError, match="both an archive"):
         create_app(Settings(), [], archives=paths)
 
 

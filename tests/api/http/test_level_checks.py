@@ -125,7 +125,7 @@ def test_moments_without_a_thread_cost_no_later_look(monkeypatch: pytest.MonkeyP
         assert await level.current() == "new"
 
     asyncio.run(scenario())
-    assert caplog.text.count("cannot be looked at") == 1, "it is told once"
+    assert caplog.text.count("its files cannot be checked") == 1, "it is told once"
 
 
 def test_a_look_without_descriptors_says_nothing_of_the_files():

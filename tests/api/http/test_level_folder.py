@@ -102,7 +102,7 @@ def test_levels_stay_as_they_are_where_the_list_cannot_be_read(folder: Path, cap
     assert levels.names() == ["hills", "moor"] and "a level 'fen'" in caplog.text
     folder.rename(folder.with_name("elsewhere"))
     levels.read_folder_again()
-    assert levels.names() == ["hills", "moor"] and "the levels stay as they are" in caplog.text
+    assert levels.names() == ["hills", "moor"] and "The levels are unchanged." in caplog.text
 
 
 def test_a_level_that_broke_since_is_not_left_out(folder: Path):

@@ -261,7 +261,7 @@ def test_methods_that_an_address_has(client: Client):
         ("healthz", "GET, HEAD"),
     ):
         answer = client.delete(path)
-        assert check_problem(answer, 405, "method_not_allowed", None)["detail"].endswith(f"allowed: {allowed}.")
+        assert check_problem(answer, 405, "method_not_allowed", None)["detail"].endswith(f"Allowed: {allowed}.")
         assert answer.headers["allow"] == allowed
 
 

@@ -153,7 +153,7 @@ def test_a_level_that_cannot_be_served_is_wrong_input_that_names_it(tmp_path: Pa
 @pytest.mark.parametrize(
     ("pin", "words"),
     [
-        ({"algorithm": {"relief": "truth"}}, (".algorithm: ", "truth", "in a level that is served: auto, shadow_map")),
+        ({"algorithm": {"relief": "truth"}}, (".algorithm: ", "truth", "Allowed: auto, shadow_map")),
         ({"map_size": 512, "fit": "tight"}, (".fit: 'tight'", "auto or stable in a served level")),
         ({"view": "mapp", "map_size": 512}, (".view: 'mapp'", "one of the level's views: map")),
         ({"algorithm": {"lamp": {"relief": "hybrid"}}}, (".algorithm: ", "lamp", "a light (sun)")),

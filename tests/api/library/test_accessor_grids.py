@@ -99,14 +99,14 @@ def test_the_answer_keeps_the_name_of_the_grid_mapping():
 
 
 WRONG: dict[str, tuple[Callable[[xarray.DataArray], Any], str]] = {
-    "no coordinates": (lambda array: array.drop_vars(["x", "y"]), "no place"),
-    "a row of no height": (lambda array: array[:1], "no place"),
+    "no coordinates": (lambda array: array.drop_vars(["x", "y"]), "cells have no coordinates"),
+    "a row of no height": (lambda array: array[:1], "cells have no coordinates"),
     "uneven rows": (lambda array: array.isel(y=[*range(40), *range(41, 90)]), "y: uneven steps"),
     "the same row": (lambda array: array.assign_coords(y=np.zeros(90)), "y: uneven steps"),
     "no number": (lambda array: array.assign_coords(x=np.full(120, np.nan)), "x: coordinates"),
     "dates": (lambda array: array.assign_coords(x=np.arange(120).astype("datetime64[D]")), "x: coordinates"),
     "turned": (
-        lambda array: array.drop_vars(["x", "y"]).rio.write_transform(TURNED), "turned grid",
+        lambda array: array.drop_vars(["x", "y"]).rio.write_transform(TURNED), "grid is rotated",
     ),
     "other dimensions": (lambda array: array.rename(x="lon", y="lat"), "set_spatial_dims"),
     "three dimensions": (lambda array: array.expand_dims("band"), "two, y and x"),

@@ -140,7 +140,7 @@ def test_the_policy_allows_its_own_style_and_script_alone(text: str) -> None:
 
 def test_shares_that_hold_for_all_rows(text: str) -> None:
     said = Page(text).text
-    assert "25 % of the surface, by truth" in said and "2.0 % of the surface: no error is counted there" in said
+    assert "25 % of the surface, by truth" in said and "2.0 % of the surface: errors are not counted there" in said
 
 
 def test_names_cannot_become_markup(text: str) -> None:
@@ -257,7 +257,7 @@ def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk() -> None:
     assert "pixels of the view" in report_html(rows, ground, ABOUT)
     text = report_html(rows, ground, ABOUT, most_bytes=200_000)
     assert len(text.encode()) < 200_000 < MAX_PAGE_BYTES
-    assert "each pixel of a picture stands for" in text and data_of(text)["cols"] < 500
+    assert "each pixel of a picture covers" in text and data_of(text)["cols"] < 500
 
 
 def test_a_long_remark_is_folded() -> None:

@@ -185,7 +185,7 @@ def test_few_targets_are_held_and_each_holds_what_was_drawn_in_it_last(asked):
         if found is not None:
             assert drawn_in[found] == content and alive[found] == shape
             continue
-        taken = targets.take(*shape)
+        taken = targets.acquire(*shape)
         assert alive[taken] == shape
         drawn_in[taken] = content
         if content is not None:
@@ -211,7 +211,7 @@ def test_what_follows_a_camera_is_drawn_where_older_maps_were():
         if frame == 10:
             made.clear()
         for shape in shapes:
-            targets.keep(targets.take(*shape), (frame, shape))
+            targets.keep(targets.acquire(*shape), (frame, shape))
     assert not made
 
 
@@ -222,7 +222,7 @@ def test_a_map_is_there_while_the_next_one_is_drawn():
     targets = DepthTargets(lambda *shape: next(made), released.append)
     before = None
     for number, side in enumerate((16384, 16384, 8192, 16384, 64, 16384, 64)):
-        taken = targets.take(side, side, 32)
+        taken = targets.acquire(side, side, 32)
         targets.keep(taken, number)
         assert before is None or (before not in released and targets.kept(number - 1) == before != taken)
         targets.kept(number)
@@ -233,6 +233,6 @@ def test_the_targets_used_last_stay_longest():
     made = itertools.count()
     targets = DepthTargets(lambda *shape: next(made), lambda _: None)
     for number in range(3 * MAX_TARGETS):
-        targets.keep(targets.take(64, 64, 24), number)
+        targets.keep(targets.acquire(64, 64, 24), number)
         assert targets.kept(0) == 0
     assert targets.kept(1) is None and targets.kept(3 * MAX_TARGETS - 1) is not None

@@ -63,7 +63,7 @@ def blocks(write_raster, make_scene):
         view = scene.view(bounds=(west, north - 1600.0, west + 1600.0, north), size=(160, 160))
         buffer = geometry_buffer(scene, view)
         casters = find_casters(scene, buffer)
-        return scene, buffer, replace(casters, idle=culled_patches(scene, buffer, casters.patches))
+        return scene, buffer, replace(casters, culled=culled_patches(scene, buffer, casters.patches))
 
     return make
 
@@ -113,9 +113,9 @@ def test_ground_with_a_gap_is_kept_where_it_is_high_enough(write_raster, make_sc
     view = scene.view(bounds=(3000.0, 3600.0, 5000.0, 5000.0), size=(200, 140))
     buffer = geometry_buffer(scene, view)
     everything = find_casters(scene, buffer)
-    casters = replace(everything, idle=culled_patches(scene, buffer, everything.patches))
+    casters = replace(everything, culled=culled_patches(scene, buffer, everything.patches))
     lit, also_lit = (fill(buffer, scene, SUN, ("relief",), each, SweepSettings(), PassLog()) for each in (everything, casters))
-    assert casters.idle and 0.05 < (lit == 0.0).mean() < 0.95
+    assert casters.culled and 0.05 < (lit == 0.0).mean() < 0.95
     assert np.array_equal(lit, also_lit)
 
 
@@ -128,7 +128,7 @@ def test_a_wall_is_kept_as_far_as_its_shadow_reaches(write_raster, make_scene, w
     view = scene.view(bounds=(3000.0, 3100.0, 5000.0, 4600.0), size=(200, 150))
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
-    casters = replace(casters, idle=culled_patches(scene, buffer, casters.patches))
+    casters = replace(casters, culled=culled_patches(scene, buffer, casters.patches))
     lit = lit_under(scene, buffer, Casters(casters.patches, casters.reach), 5.0)
     assert bool(casters.casting) == casts == (not lit.all())
     assert np.array_equal(lit, lit_under(scene, buffer, casters, 5.0))

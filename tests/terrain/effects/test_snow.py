@@ -13,7 +13,7 @@ from skugga.terrain.describe import describe
 from skugga.terrain.effects import snow
 from skugga.terrain.effects.effect import PixelSize, ShadingBlock
 from skugga.terrain.effects.snow import FULL_SNOW_DEG, NO_SNOW_DEG, ROCK, ROUGH_DEG, SNOW, apply_snow
-from skugga.terrain.gbuffer.geometry import GeometryBuffer, Shown
+from skugga.terrain.gbuffer.geometry import GeometryBuffer, ShadingInputs
 from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import MapView
@@ -93,7 +93,7 @@ def test_roofs_but_no_walls_and_crowns_from_above() -> None:
     kind = np.array([[MESHES, MESHES, FOREST, FOREST, RELIEF]], np.uint8)
     own = np.full((1, 5, 3), 0.1, np.float32)
     albedo = own.copy()
-    shown = Shown(np.ones((1, 5), bool), kind, np.zeros((1, 5, 3)), np.zeros((1, 5), np.float32), normal)
+    shown = ShadingInputs(np.ones((1, 5), bool), kind, np.zeros((1, 5, 3)), np.zeros((1, 5), np.float32), normal)
     snow._whiten(albedo, shown, own, DOWN, (np.eye(3), np.zeros(3)), -np.inf, PixelSize(np.zeros(3), 0.0, 100.0))
     roof, wall, top, side, ground = albedo[0]
     assert np.allclose(roof, SNOW) and np.allclose(ground, SNOW)
@@ -104,7 +104,7 @@ def test_roofs_but_no_walls_and_crowns_from_above() -> None:
 def test_imagery_shows_its_own_rock() -> None:
     own = np.full((1, 1, 3), 0.3, np.float32)
     albedo = own.copy()
-    shown = Shown(
+    shown = ShadingInputs(
         np.ones((1, 1), bool), np.full((1, 1), RELIEF, np.uint8), np.zeros((1, 1, 3)), np.zeros((1, 1), np.float32),
         np.array([[[1, 0, 0]]], np.float32),
     )  # fmt: skip

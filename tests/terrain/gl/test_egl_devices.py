@@ -127,7 +127,7 @@ def machine(monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr(egl_devices, "egl_devices", lambda: devices)
         monkeypatch.setattr(egl_devices, "context_of", context_of)
         monkeypatch.setattr(egl_devices, "probed_device", lambda index: kinds[index])
-        monkeypatch.setattr(egl_devices, "_turn", 0)
+        monkeypatch.setattr(egl_devices, "_process_number", 0)
         monkeypatch.setenv(EGL_DEVICE, setting)
 
     return make

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from pyproj import CRS
 
 from skugga.terrain.geo.grid import Grid
-from skugga.terrain.ground.height_tiles import RIM_NODES, TILE_NODES, _cuts
+from skugga.terrain.ground.height_tiles import RIM_NODES, TILE_NODES, _tile_ranges
 from skugga.terrain.ground.surface import HeightWindow, RefinedWindow
 
 
 @given(st.integers(-3000, 3000), st.integers(1, 2500))
 def test_tiles_give_every_node_once(first, count):
     given_nodes: list[int] = []
-    for tile, start, stop in _cuts(first, count):
+    for tile, start, stop in _tile_ranges(first, count):
         assert tile * TILE_NODES - RIM_NODES <= start < stop <= (tile + 1) * TILE_NODES + RIM_NODES
         given_nodes += range(start, stop)
     assert given_nodes == list(range(first, first + count))
@@ -38,7 +38,7 @@ def grid_over(scene, step: float) -> Grid:
 
 
 def test_a_block_and_the_nodes_round_it_take_its_own_tiles():
-    assert [tile for tile, _, _ in _cuts(-RIM_NODES, 2 * TILE_NODES + 2 * RIM_NODES)] == [0, 1]
+    assert [tile for tile, _, _ in _tile_ranges(-RIM_NODES, 2 * TILE_NODES + 2 * RIM_NODES)] == [0, 1]
 
 
 @pytest.mark.parametrize("window", [(-40, -90, 70, 200), (500, -530, 30, 60), (-520, 505, 20, 20), (900, 900, 10, 10)])
