@@ -24,15 +24,15 @@ LOSSLESS_EFFORT, LOSSLESS_METHOD = 50, 2
 """Effort of the lossless encoder. More effort takes longer and gains one per cent of size (docs/films.md)."""
 
 MAX_RIFF_BYTES = 2**32 - 10
-LONGEST_S = 2**24 // 2000
+MAX_DURATION_S = 2**24 // 2000
 """Longest duration of one stored frame, seconds: half of the 2^24 ms that the format allows."""
 
-_ANIMATION, _KEEP_BLEND_OFF = 0x02, 0x02
-_SMALLEST = 2
+_ANIMATION, _NO_BLENDING = 0x02, 0x02
+_UNCHANGED_SIDE_PX = 2
 """Sides of the rectangle, pixels, that is stored for an unchanged frame when the previous one has its longest duration."""
 
 
-class Changes(NamedTuple):
+class FrameChange(NamedTuple):
     """The difference of a frame from the previous one.
 
     Attributes
@@ -54,38 +54,38 @@ class Changes(NamedTuple):
     frames: int
 
 
-def changes(colors: Iterable[np.ndarray], fps: float) -> Iterator[Changes]:
+def frame_changes(colors: Iterable[np.ndarray], fps: float) -> Iterator[FrameChange]:
     """Yield the changes of successive frames, uint8 (rows, cols, 3). Identical frames yield one."""
-    last: np.ndarray | None = None
-    place, first, number = (0, 0, np.zeros((0, 0, 3), np.uint8)), 0, 0
+    previous: np.ndarray | None = None
+    rectangle, first, number = (0, 0, np.zeros((0, 0, 3), np.uint8)), 0, 0
     for number, color in enumerate(colors):
-        if last is None:
-            place = 0, 0, color
+        if previous is None:
+            rectangle = 0, 0, color
         else:
-            differ = (color != last).any(axis=-1)
-            if not differ.any() and number - first < LONGEST_S * fps:
+            is_changed = (color != previous).any(axis=-1)
+            if not is_changed.any() and number - first < MAX_DURATION_S * fps:
                 continue
-            yield Changes(*place, _ms(number, fps) - _ms(first, fps), number - first)
-            place, first = _changed(color, differ), number
-        last = color
-    if last is not None:
-        yield Changes(*place, _ms(number + 1, fps) - _ms(first, fps), number + 1 - first)
+            yield FrameChange(*rectangle, _frame_time_ms(number, fps) - _frame_time_ms(first, fps), number - first)
+            rectangle, first = _changed_rectangle(color, is_changed), number
+        previous = color
+    if previous is not None:
+        yield FrameChange(*rectangle, _frame_time_ms(number + 1, fps) - _frame_time_ms(first, fps), number + 1 - first)
 
 
-def _ms(number: int, fps: float) -> int:
+def _frame_time_ms(number: int, fps: float) -> int:
     """Return the time at which a frame begins, milliseconds."""
     return round(1000.0 * number / fps)
 
 
-def _changed(color: np.ndarray, differ: np.ndarray) -> tuple[int, int, np.ndarray]:
-    rows, cols = np.flatnonzero(differ.any(axis=1)), np.flatnonzero(differ.any(axis=0))
+def _changed_rectangle(color: np.ndarray, is_changed: np.ndarray) -> tuple[int, int, np.ndarray]:
+    rows, cols = np.flatnonzero(is_changed.any(axis=1)), np.flatnonzero(is_changed.any(axis=0))
     if not len(rows):
-        return 0, 0, color[:_SMALLEST, :_SMALLEST]
+        return 0, 0, color[:_UNCHANGED_SIDE_PX, :_UNCHANGED_SIDE_PX]
     row, col = int(rows[0]) // 2 * 2, int(cols[0]) // 2 * 2
     return row, col, color[row : int(rows[-1]) + 1, col : int(cols[-1]) + 1]
 
 
-def animation_frame(change: Changes, lossless: bool) -> bytes:
+def encode_frame(change: FrameChange, lossless: bool) -> bytes:
     """Return the ``ANMF`` chunk of a frame with its compressed colours."""
     out = io.BytesIO()
     options = (
@@ -95,29 +95,29 @@ def animation_frame(change: Changes, lossless: bool) -> bytes:
     )
     Image.fromarray(np.ascontiguousarray(change.color)).save(out, "WEBP", **options)
     rows, cols = change.color.shape[:2]
-    head = b"".join(_three(value) for value in (change.col // 2, change.row // 2, cols - 1, rows - 1, change.duration_ms))
-    return _chunk(b"ANMF", head + bytes([_KEEP_BLEND_OFF]) + b"".join(_compressed(out.getvalue())))
+    header = b"".join(_uint24(value) for value in (change.col // 2, change.row // 2, cols - 1, rows - 1, change.duration_ms))
+    return _chunk(b"ANMF", header + bytes([_NO_BLENDING]) + b"".join(_color_chunks(out.getvalue())))
 
 
-def _compressed(content: bytes) -> Iterator[bytes]:
+def _color_chunks(content: bytes) -> Iterator[bytes]:
     """Yield the chunks of a WebP file that hold its colours."""
-    at = 12
-    while at < len(content):
-        name, size = content[at : at + 4], int.from_bytes(content[at + 4 : at + 8], "little")
-        end = at + 8 + size + size % 2
+    offset = 12
+    while offset < len(content):
+        name, size = content[offset : offset + 4], int.from_bytes(content[offset + 4 : offset + 8], "little")
+        end = offset + 8 + size + size % 2
         if name in (b"VP8 ", b"VP8L"):
-            yield content[at:end]
-        at = end
+            yield content[offset:end]
+        offset = end
 
 
-def write_head(file: BinaryIO, size: tuple[int, int]) -> None:
+def write_header(file: BinaryIO, size: tuple[int, int]) -> None:
     """Write the header of an endlessly repeated animation of ``size`` (width, height). ``write_length`` completes it."""
     width, height = size
-    extended = bytes([_ANIMATION, 0, 0, 0]) + _three(width - 1) + _three(height - 1)
+    extended = bytes([_ANIMATION, 0, 0, 0]) + _uint24(width - 1) + _uint24(height - 1)
     file.write(b"RIFF\0\0\0\0WEBP" + _chunk(b"VP8X", extended) + _chunk(b"ANIM", struct.pack("<IH", 0xFFFFFFFF, 0)))
 
 
-def add_frame(file: BinaryIO, frame: bytes) -> None:
+def append_frame(file: BinaryIO, frame: bytes) -> None:
     """Append the chunk of a frame. Raises ``OSError`` if the file would be longer than WebP allows."""
     if file.tell() + len(frame) > MAX_RIFF_BYTES:
         raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)} for WebP, whose limit is 4 GB")
@@ -136,5 +136,5 @@ def _chunk(name: bytes, content: bytes) -> bytes:
     return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
 
 
-def _three(value: int) -> bytes:
+def _uint24(value: int) -> bytes:
     return value.to_bytes(3, "little")

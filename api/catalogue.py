@@ -35,11 +35,11 @@ def find_level(name: str) -> Path:
     if path.is_file() or ((path.is_dir() or name.startswith("/vsi")) and is_level_raster(path)):
         return path
     if path.is_dir():
-        inside = sorted(each.name for each in path.iterdir() if each.suffix.lower() in (*LEVEL_SUFFIXES, *RASTER_SUFFIXES))
+        suggestions = sorted(each.name for each in path.iterdir() if each.suffix.lower() in (*LEVEL_SUFFIXES, *RASTER_SUFFIXES))
         raise InputError(
             "LEVEL",
             Problem(f"{name} is a folder"),
-            f"Use a level file or a raster{', such as ' if inside else ''}{', '.join(inside[:3])}",
+            f"Use a level file or a raster{', such as ' if suggestions else ''}{', '.join(suggestions[:3])}",
         )
     if path.suffix or path.name != name:
         raise InputError(

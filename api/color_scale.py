@@ -44,10 +44,10 @@ class ColorScale:
 
     def colored(self, values: np.ndarray) -> np.ndarray:
         """Return numbers (rows, cols) as RGBA, uint8 (rows, cols, 4); NaN and infinity are transparent."""
-        there = np.isfinite(values)
-        share = (np.where(there, values, self.low) - self.low) / (self.high - self.low)
-        out = _table(self.colormap)[np.clip(np.rint(share * 255.0), 0, 255).astype(np.uint8)]
-        out[~there] = 0
+        valid = np.isfinite(values)
+        fraction = (np.where(valid, values, self.low) - self.low) / (self.high - self.low)
+        out = _table(self.colormap)[np.clip(np.rint(fraction * 255.0), 0, 255).astype(np.uint8)]
+        out[~valid] = 0
         return out
 
     def entries(self) -> list[dict[str, Any]]:

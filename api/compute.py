@@ -14,7 +14,7 @@ from skugga.api.contour_lines import write_contours
 from skugga.api.device_calibration import calibration_for
 from skugga.api.products import PRODUCTS, product_named
 from skugga.api.products.product import Part, Product, ProductOptions
-from skugga.api.raster_file import RasterFile, RasterNotes, cog
+from skugga.api.raster_file import RasterFile, RasterMetadata, cog
 from skugga.api.raster_view import RasterView
 from skugga.api.request import ProductRequest
 from skugga.selector.select import plan_of_view
@@ -42,7 +42,7 @@ OnBlock = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Computed:
+class ComputedProduct:
     """A computed product of a view.
 
     Attributes
@@ -74,7 +74,7 @@ def compute(
     plan: Plan | None,
     light: str | None = None,
     on_block: OnBlock | None = None,
-) -> Computed:
+) -> ComputedProduct:
     """Compute a product of a view.
 
     Parameters
@@ -94,7 +94,7 @@ def compute(
 
     Returns
     -------
-    Computed
+    ComputedProduct
         The array, and the picture if the product needs one.
 
     Raises
@@ -106,23 +106,23 @@ def compute(
     """
     product = request.record
     check_view(product, view)
-    wide = _widened(view, product.reach_px)
+    padded = _padded(view, product.reach_px)
     if plan is not None:
-        picture = draw_picture(scene, wide, product, plan, light, on_block)
-        part = Part(scene, wide, request.options, picture)
-        return Computed(_inside(product.compute(part), product.reach_px), picture)
+        picture = draw_picture(scene, padded, product, plan, light, on_block)
+        part = Part(scene, padded, request.options, picture)
+        return ComputedProduct(_cropped(product.compute(part), product.reach_px), picture)
     assert isinstance(view, MapView)
     nodes = view.as_nodes()
     if not view.on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
-        return Computed(_compute_block(scene, nodes, product, request.options))
+        return ComputedProduct(_compute_block(scene, nodes, product, request.options))
     out = product.empty_array(nodes.rows, nodes.cols, scene.height_range_m[0])
     blocks = blocks_of(nodes)  # the blocks of tiles, so that maps and tiles have identical pixels
     for done, (block, row, col) in enumerate(blocks, start=1):
         inside, of_block = windows_of(nodes, block, row, col)
-        out[inside] = _block_of_tiles(scene, block, product.name, request.options)[of_block]
+        out[inside] = _cached_block(scene, block, product.name, request.options)[of_block]
         if on_block is not None:
             on_block(done, len(blocks))
-    return Computed(out)
+    return ComputedProduct(out)
 
 
 def plan_for(scene: Scene, view: MapView | PerspectiveView, name: str, product: Product, overrides: dict[str, Any]) -> Plan | None:
@@ -147,11 +147,11 @@ def draw_picture(
     on_block: OnBlock | None = None,
 ) -> Picture:
     """Draw the parts of a view's picture that a product needs. Raises the errors of ``compute``."""
-    needs = product.needs_of(view)
+    needed_parts = product.needs_of(view)
     if light is None and product.pass_layer is None:
-        return draw(scene, view, plan, needs, on_block)
+        return draw(scene, view, plan, needed_parts, on_block)
     layers = frozenset() if product.pass_layer is None else frozenset({product.pass_layer})
-    return picture_of(render_frame(scene, view, plan, on_block, layers).under(light), needs)
+    return picture_of(render_frame(scene, view, plan, on_block, layers).under(light), needed_parts)
 
 
 def product_of_frame(scene: Scene, frame: Frame, name: str) -> np.ndarray:
@@ -165,27 +165,27 @@ def check_view(product: Product, view: MapView | PerspectiveView) -> None:
     """Raise ``InputError`` if a product is not defined for a view's kind."""
     kind = "map" if isinstance(view, MapView) else "perspective"
     if kind not in product.view_kinds:
-        others = [name for name, each in PRODUCTS.items() if kind in each.view_kinds]
-        raise InputError("layer", product.name, f"the layers of a {kind} view: {', '.join(others)}")
+        allowed = [name for name, each in PRODUCTS.items() if kind in each.view_kinds]
+        raise InputError("layer", product.name, f"the layers of a {kind} view: {', '.join(allowed)}")
 
 
 def _compute_block(
     scene: Scene, block: MapView, product: Product, options: Any, on_step: Callable[[], None] = lambda: None
 ) -> np.ndarray:
     """Compute a block of a product that needs no picture."""
-    part = Part(scene, _widened(block, product.reach_px), options, None, on_step)
-    return _inside(product.compute(part), product.reach_px)
+    part = Part(scene, _padded(block, product.reach_px), options, None, on_step)
+    return _cropped(product.compute(part), product.reach_px)
 
 
-def _block_of_picture(scene: Scene, block: MapView, product: Product, options: Any, plan: Plan) -> np.ndarray:
+def _picture_block(scene: Scene, block: MapView, product: Product, options: Any, plan: Plan) -> np.ndarray:
     """Compute a block of a product that needs a picture, without the reach of casters."""
-    wide = _widened(block, product.reach_px)
-    picture = draw(scene, wide, plan, product.needs - {"reach"})
-    return _inside(product.compute(Part(scene, wide, options, picture)), product.reach_px)
+    padded = _padded(block, product.reach_px)
+    picture = draw(scene, padded, plan, product.needs - {"reach"})
+    return _cropped(product.compute(Part(scene, padded, options, picture)), product.reach_px)
 
 
 @cached("scene", BLOCKS_BYTES)
-def _block_of_tiles(scene: Scene, block: MapView, product: str, options: ProductOptions) -> np.ndarray:
+def _cached_block(scene: Scene, block: MapView, product: str, options: ProductOptions) -> np.ndarray:
     """Compute a block, with a cache: many small maps, as of clients that tile themselves, lie in one block."""
     return _compute_block(scene, block, PRODUCTS[product], options)
 
@@ -194,14 +194,14 @@ def _blocks(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView
     return blocks_of(view) if product.blocks is None else product.blocks(scene, view)
 
 
-def _widened(view: ViewT, pixels: int) -> ViewT:
+def _padded(view: ViewT, pixels: int) -> ViewT:
     """Return a view extended by some pixels on each side."""
     if not pixels:
         return view
     return view.part(-pixels, -pixels, view.rows + 2 * pixels, view.cols + 2 * pixels)  # type: ignore[return-value]
 
 
-def _inside(array: np.ndarray, pixels: int) -> np.ndarray:
+def _cropped(array: np.ndarray, pixels: int) -> np.ndarray:
     """Return an array cropped by some pixels on each side."""
     return array[pixels : array.shape[0] - pixels, pixels : array.shape[1] - pixels]
 
@@ -262,7 +262,7 @@ def raster_parts(
                 if plan is None:
                     array = _compute_block(lit, block, product, request.options, step)
                 else:
-                    array = _block_of_picture(lit, block, product, request.options, plan)
+                    array = _picture_block(lit, block, product, request.options, plan)
                 yield RasterPart(number, *raster.placed(inside[0].start, inside[1].start, array[of_block]))
                 if product.when != "days":
                     step()
@@ -295,7 +295,7 @@ def write_rasters(
     of ``raster_parts``, and ``OSError``.
     """
     parts, product = raster_parts(scene, raster, requests, overrides, on_step), requests[0].record
-    notes = [raster_notes(request.seen(scene), request, overrides or {}) for request in requests]
+    metadata = [raster_metadata(request.seen(scene), request, overrides or {}) for request in requests]
     with ExitStack() as stack:
         files: list[RasterFile] = [
             stack.enter_context(
@@ -308,10 +308,10 @@ def write_rasters(
                     product.dtype,
                     product.nodata,
                     product.is_smooth,
-                    note,
+                    file_metadata,
                 )  # fmt: skip
             )
-            for path, request, note in zip(paths, requests, notes, strict=True)
+            for path, request, file_metadata in zip(paths, requests, metadata, strict=True)
         ]
         for part in parts:
             files[part.request].write(part.row, part.col, part.array)
@@ -329,7 +329,7 @@ def raster_array(scene: Scene, raster: RasterView, request: ProductRequest, over
     return out
 
 
-def raster_notes(scene: Scene, request: ProductRequest, overrides: dict[str, Any]) -> RasterNotes:
+def raster_metadata(scene: Scene, request: ProductRequest, overrides: dict[str, Any]) -> RasterMetadata:
     """Return a raster's metadata: the product, the level, the options or the sun, and the requested shadow settings.
 
     The sun's angles are those at the centre of the level.
@@ -343,7 +343,7 @@ def raster_notes(scene: Scene, request: ProductRequest, overrides: dict[str, Any
                 "time": "" if sun.time is None else sun.time.isoformat(),
                 "sun_azimuth_deg": f"{sun.azimuth_deg:.4f}", "sun_altitude_deg": f"{sun.altitude_deg:.4f}",
             }  # fmt: skip
-        asked = {name: value for name, value in overrides.items() if value is not None}
-        algorithm = asked.pop("algorithm", scene.loaded.level.shadows.algorithm)
-        tags |= {"algorithm": spelt(algorithm), **{f"shadows_{name}": str(value) for name, value in asked.items()}}
-    return RasterNotes(f"{product.name}: {about}", product.band_names(request.options), unit, tags)
+        requested = {name: value for name, value in overrides.items() if value is not None}
+        algorithm = requested.pop("algorithm", scene.loaded.level.shadows.algorithm)
+        tags |= {"algorithm": spelt(algorithm), **{f"shadows_{name}": str(value) for name, value in requested.items()}}
+    return RasterMetadata(f"{product.name}: {about}", product.band_names(request.options), unit, tags)

@@ -15,7 +15,7 @@ from skugga.terrain.errors import InputError
 WINDOW_CELLS = 2048
 """Cells along a window. Adjacent windows share a row or column, so that their lines end at the same points."""
 
-MOST_VERTICES = 20_000_000
+MAX_VERTICES = 20_000_000
 """Vertices of all lines together, at most: about a gigabyte."""
 
 
@@ -53,32 +53,34 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
                 for value, line in _lines(dataset.read(1, window=window), row, col, values):
                     parts[value].append(line)
                     vertices += len(line)
-                if vertices > MOST_VERTICES:
+                if vertices > MAX_VERTICES:
                     raise InputError.over_limit(
-                        "--contours", f"{vertices} vertices in {output}", f"{MOST_VERTICES}", "Use --bounds or fewer --levels"
+                        "--contours", f"{vertices} vertices in {output}", f"{MAX_VERTICES}", "Use --bounds or fewer --levels"
                     )
         transform, crs = dataset.transform, dataset.crs
-    found, labels = [], []
+    geometries, labels = [], []
     for value, lines in parts.items():
         if not lines:
             continue
         joined = shapely.line_merge(shapely.multilinestrings([shapely.linestrings(line) for line in lines]))
         single = shapely.get_parts(joined)
-        found.append(shapely.transform(single, lambda cell: np.stack(transform @ (cell[:, 0] + 0.5, cell[:, 1] + 0.5), axis=1)))
+        geometries.append(
+            shapely.transform(single, lambda cell: np.stack(transform @ (cell[:, 0] + 0.5, cell[:, 1] + 0.5), axis=1))
+        )
         labels.append(np.full(len(single), value))
-    lines_found = np.concatenate(found) if found else np.empty(0, object)
+    all_lines = np.concatenate(geometries) if geometries else np.empty(0, object)
     with atomic_path(output) as path:
         try:
             pyogrio.raw.write(
-                path, geometry=shapely.to_wkb(lines_found), field_data=[np.concatenate(labels) if labels else np.empty(0)],
+                path, geometry=shapely.to_wkb(all_lines), field_data=[np.concatenate(labels) if labels else np.empty(0)],
                 fields=np.array(["value"], object), geometry_type="LineString", crs=crs.to_wkt(), driver="GPKG", layer="contours",
             )  # fmt: skip
             written = len(pyogrio.raw.read(path)[2])
         except (DataSourceError, DataLayerError, GeometryError, FeatureError) as error:
             raise write_error(path, "the contours", error) from error
-        if written != len(lines_found):
-            raise write_error(path, "the contours", ValueError(f"{written} of {len(lines_found)} lines"))
-    return len(lines_found)
+        if written != len(all_lines):
+            raise write_error(path, "the contours", ValueError(f"{written} of {len(all_lines)} lines"))
+    return len(all_lines)
 
 
 def _lines(values: np.ndarray, row: int, col: int, levels: Sequence[float]) -> list[tuple[float, np.ndarray]]:

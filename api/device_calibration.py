@@ -18,9 +18,9 @@ def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfil
 
     Returns ``None`` if no requested algorithm needs OpenGL, if the device has no calibration, or if OpenGL is missing.
     """
-    asked = overrides.get("algorithm")
-    named = [asked] if asked else [settings.algorithm for settings in shadows.all_settings.values()]
-    records = [ALGORITHMS.get(algorithm) if isinstance(algorithm, str) else None for algorithm in named]
+    algorithm_override = overrides.get("algorithm")
+    algorithms = [algorithm_override] if algorithm_override else [settings.algorithm for settings in shadows.all_settings.values()]
+    records = [ALGORITHMS.get(algorithm) if isinstance(algorithm, str) else None for algorithm in algorithms]
     return None if all(record is not None and not record.needs_opengl for record in records) else calibration()
 
 

@@ -36,12 +36,12 @@ def colored(array: np.ndarray, product: Product, options: ProductOptions, world:
     return product.color_scale(options, world).colored(array)
 
 
-def as_picture(array: np.ndarray, product: Product, drawn: Picture | None) -> np.ndarray:
+def as_picture(array: np.ndarray, product: Product, picture: Picture | None) -> np.ndarray:
     """Return a view's array as a picture for PNG. Most arrays are pictures already; others are drawn over the view's colours."""
     if product.to_picture is None:
         return array
-    assert drawn is not None and drawn.frame is not None
-    return product.to_picture(array, drawn.frame.color)
+    assert picture is not None and picture.frame is not None
+    return product.to_picture(array, picture.frame.color)
 
 
 def encode(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
@@ -105,14 +105,14 @@ def geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
     from skugga.terrain.geo.grid import MapView
 
     bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
-    where = {}
+    georeference = {}
     if isinstance(view, MapView):
-        where = {"crs": view.grid.crs.to_wkt(), "transform": from_bounds(*view.bounds, view.cols, view.rows)}
+        georeference = {"crs": view.grid.crs.to_wkt(), "transform": from_bounds(*view.bounds, view.cols, view.rows)}
     with warnings.catch_warnings(), MemoryFile() as file:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a perspective view has no georeference
         with file.open(
             driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=bands.shape[0], dtype=bands.dtype,
-            **where, compress="deflate", nodata=nodata,
+            **georeference, compress="deflate", nodata=nodata,
         ) as dataset:  # fmt: skip
             dataset.write(bands)
         return bytes(file.read())

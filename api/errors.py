@@ -70,7 +70,7 @@ class NotReadyError(BusyError):
         super().__init__(message)
 
 
-class LaterError(BusyError):
+class RetryLaterError(BusyError):
     """The service is busy; ``retry_after_s`` is the delay after which a retry may succeed, seconds."""
 
     def __init__(self, message: str, retry_after_s: int | None = None) -> None:
@@ -82,15 +82,15 @@ class ExhaustedError(BusyError):
     """The machine has no thread, file descriptor or memory left."""
 
 
-class SetAsideError(LaterError):
+class CircuitOpenError(RetryLaterError):
     """Pictures of this kind keep failing. The service does not try them again for a while."""
 
 
-class TooManySunsError(LaterError):
+class RateLimitError(RetryLaterError):
     """A client requests more new suns than the settings allow."""
 
 
-class UnfinishedError(LaterError):
+class UnfinishedError(RetryLaterError):
     """The animation is not finished yet."""
 
 
@@ -152,7 +152,7 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     NotFoundError: Outcome(404, WRONG_INPUT, "not_found"),
     NotServedError: Outcome(404, WRONG_INPUT, "not_found"),
     BusyError: Outcome(503, FAILED, "busy", retry_after_s=2),
-    LaterError: Outcome(503, FAILED, "busy", retry_after_s=2),
+    RetryLaterError: Outcome(503, FAILED, "busy", retry_after_s=2),
     ExhaustedError: Outcome(
         503,
         FAILED,
@@ -160,9 +160,9 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
         "The service's machine has run out of threads, file descriptors or memory. The service's log has the details.",
         retry_after_s=5,
     ),
-    SetAsideError: Outcome(503, FAILED, "set_aside", retry_after_s=30),
+    CircuitOpenError: Outcome(503, FAILED, "set_aside", retry_after_s=30),
     NotReadyError: Outcome(503, FAILED, "not_ready", retry_after_s=2),
-    TooManySunsError: Outcome(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),
+    RateLimitError: Outcome(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),
     UnfinishedError: Outcome(409, WRONG_INPUT, "unfinished", retry_after_s=2),
     LevelChangedError: Outcome(503, FAILED, "level_changed", retry_after_s=1),
     StorageError: Outcome(507, FAILED, "storage", "No space is left for the film. The service's log has the cause."),

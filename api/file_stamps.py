@@ -22,8 +22,8 @@ def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
 
     They are the level file, the files that it names, the files that those refer to, and possible side-car files of all of them.
     """
-    found = dict.fromkeys([loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_FILES] if not is_remote(source))])
-    return tuple(dict.fromkeys([*found, *(beside for path in found for beside in sidecar_files(path))]))
+    files = dict.fromkeys([loaded.path, *(Path(source) for source in loaded.linked_sources[:MAX_FILES] if not is_remote(source))])
+    return tuple(dict.fromkeys([*files, *(beside for path in files for beside in sidecar_files(path))]))
 
 
 def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:

@@ -15,16 +15,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from skugga.api.animated_webp import add_frame, animation_frame, changes, write_head, write_length
+from skugga.api.animated_webp import append_frame, encode_frame, frame_changes, write_header, write_length
 from skugga.api.png import encode_png
 from skugga.terrain.atomic_files import atomic_folder, atomic_path
 from skugga.terrain.errors import InputError, Problem
 
 SEQUENCE_SUFFIX = ".png"
 FILM_SUFFIXES = ".webp", ".mp4"
-FILM_WORDS = "a film such as day.webp or day.mp4, or frames such as frames/%04d.png"
+FILM_FORMATS_TEXT = "a film such as day.webp or day.mp4, or frames such as frames/%04d.png"
 
-MOST_WEBP_PX = 16383
+MAX_WEBP_PX = 16383
 """Longest side of a WebP picture."""
 
 MP4_QUALITY = "17"
@@ -51,21 +51,23 @@ def check_film_path(path: Path, frames: int, size: tuple[int, int]) -> None:
     """
     suffix, is_sequence = path.suffix.lower(), "%" in path.name
     if suffix not in (*FILM_SUFFIXES, SEQUENCE_SUFFIX):
-        raise InputError("output", str(path), FILM_WORDS)
+        raise InputError("output", str(path), FILM_FORMATS_TEXT)
     if (suffix == SEQUENCE_SUFFIX or is_sequence) and (
         suffix != SEQUENCE_SUFFIX or len(_NUMBER.findall(path.name)) != 1 or path.name.count("%") != 1
     ):
         raise InputError("output", str(path), f"a name with one number for {frames} frames, such as frames/%04d.png")
-    if suffix == ".webp" and max(size) > MOST_WEBP_PX:
-        raise InputError("size", f"{size[0]}x{size[1]}", f"at most {MOST_WEBP_PX} pixels a side in a .webp file")
+    if suffix == ".webp" and max(size) > MAX_WEBP_PX:
+        raise InputError("size", f"{size[0]}x{size[1]}", f"at most {MAX_WEBP_PX} pixels a side in a .webp file")
     if suffix == ".mp4":
         _av()
     folder = path.parent if suffix in FILM_SUFFIXES else path.parent.parent
     if not folder.is_dir():
         raise FileNotFoundError(2, "folder not found", str(path))
-    if is_sequence and (longer := _later_frames(path, frames)):
+    if is_sequence and (later_frames := _later_frames(path, frames)):
         raise InputError(
-            "output", Problem(f"the folder of {path} has frames of a longer film: {longer[0]}"), "Remove them or use another folder"
+            "output",
+            Problem(f"the folder of {path} has frames of a longer film: {later_frames[0]}"),
+            "Remove them or use another folder",
         )
 
 
@@ -104,22 +106,22 @@ def write_film(
     OSError
         The film cannot be written. The error has the path. Errors of ``colors`` pass through.
     """
-    count = _Count(on_frame)
+    progress = _Progress(on_frame)
     if path.suffix.lower() == SEQUENCE_SUFFIX:
         with atomic_folder(path.parent) as folder:
-            encoded = _on_all_cores(encode_png, colors)
+            encoded = _map_in_order(encode_png, colors)
             for file, content in zip(film_files(path, frames), encoded, strict=True):
                 (folder / file.name).write_bytes(content)
-                count.add(len(content))
+                progress.add(len(content))
         return
     with atomic_path(path) as part:
         if path.suffix.lower() == ".webp":
-            _write_webp(part, colors, fps, lossless, count)
+            _write_webp(part, colors, fps, lossless, progress)
         else:
-            _write_mp4(part, colors, fps, count)
+            _write_mp4(part, colors, fps, progress)
 
 
-class _Count:
+class _Progress:
     """Counter of written frames and bytes."""
 
     def __init__(self, on_frame: OnFrame | None) -> None:
@@ -132,35 +134,35 @@ class _Count:
             self._on_frame(self._frames, self._bytes)
 
 
-def _on_all_cores(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+def _map_in_order(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     """Yield the results of ``work`` for all items, in order. About one item per core is in progress and in memory at a time."""
     from skugga.terrain.compiled import CORES
 
     with ThreadPoolExecutor(CORES, "skugga-encode") as threads:
-        waiting: deque[Future[R]] = deque()
+        pending: deque[Future[R]] = deque()
         try:
             for item in items:
-                waiting.append(threads.submit(work, item))
+                pending.append(threads.submit(work, item))
                 del item
-                if len(waiting) > CORES:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
+                if len(pending) > CORES:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
         finally:
             threads.shutdown(cancel_futures=True)
 
 
-def _write_webp(path: Path, colors: Iterable[np.ndarray], fps: float, lossless: bool, count: _Count) -> None:
+def _write_webp(path: Path, colors: Iterable[np.ndarray], fps: float, lossless: bool, progress: _Progress) -> None:
     with path.open("wb") as file:
-        for change, content in _on_all_cores(lambda change: (change, animation_frame(change, lossless)), changes(colors, fps)):
+        for change, content in _map_in_order(lambda change: (change, encode_frame(change, lossless)), frame_changes(colors, fps)):
             if file.tell() == 0:
-                write_head(file, change.color.shape[1::-1])
-            add_frame(file, content)
-            count.add(len(content), change.frames)
+                write_header(file, change.color.shape[1::-1])
+            append_frame(file, content)
+            progress.add(len(content), change.frames)
         write_length(file)
 
 
-def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float, count: _Count) -> None:
+def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float, progress: _Progress) -> None:
     av = _av()
     with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = None
@@ -175,23 +177,23 @@ def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float, count: _Cou
                 context.color_primaries = context.color_trc = context.colorspace = context.color_range = _BT709
             frame = av.VideoFrame.from_ndarray(color, format="rgb24").reformat(format="yuv420p", dst_colorspace="ITU709")
             frame.pts = number
-            _mux(container, stream.encode(frame), count)
+            _mux(container, stream.encode(frame), progress)
         assert stream is not None
-        _mux(container, stream.encode(None), count)
+        _mux(container, stream.encode(None), progress)
 
 
-def _mux(container: Any, packets: list[Any], count: _Count) -> None:
+def _mux(container: Any, packets: list[Any], progress: _Progress) -> None:
     """Write packets; each is one frame. x264 buffers some dozens of frames before it returns the first packet."""
     for packet in packets:
         size = packet.size  # muxing empties the packet
         container.mux(packet)
-        count.add(size)
+        progress.add(size)
 
 
 def _later_frames(path: Path, frames: int) -> list[Path]:
     """Return files in a sequence's folder whose names continue it beyond its last frame."""
-    before, after = _NUMBER.split(path.name)[0], path.name[path.name.rindex("d", 0, -len(path.suffix)) + 1 :]
-    pattern = re.compile(re.escape(before) + "([0-9]+)" + re.escape(after))
+    prefix, suffix = _NUMBER.split(path.name)[0], path.name[path.name.rindex("d", 0, -len(path.suffix)) + 1 :]
+    pattern = re.compile(re.escape(prefix) + "([0-9]+)" + re.escape(suffix))
     found = ((pattern.fullmatch(each.name), each) for each in path.parent.glob("*"))
     return sorted(each for match, each in found if match and int(match[1]) > frames and each.name == path.name % int(match[1]))
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from math import floor
 
-from skugga.selector.film_request import MOST_FRAMES, FilmSpan
+from skugga.selector.film_request import MAX_FRAMES, FilmSpan
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.camera_file import CameraPathSpec
 from skugga.terrain.level.durations import ALLOWED_DURATIONS, parse_duration
 from skugga.terrain.level.parts import ALLOWED_TIMES, parse_time
 
-USUAL_FPS, LEAST_FPS, MOST_FPS = 25.0, 0.1, 120.0
+DEFAULT_FPS, MIN_FPS, MAX_FPS = 25.0, 0.1, 120.0
 """Default, lowest and highest frame rate, frames per second."""
 
-LEAST_STEP_S = 0.001
+MIN_STEP_S = 0.001
 
-_END_WORDS = f"{ALLOWED_TIMES}; or a reading of the level's clock, such as 0s or 10m, under a fixed sun"
-_SAME_FRAME = 1e-6
+_ALLOWED_ENDS = f"{ALLOWED_TIMES}; or a reading of the level's clock, such as 0s or 10m, under a fixed sun"
+_STEP_TOLERANCE = 1e-6
 """Tolerance of the span's length, as a fraction of a step. Steps of a thirtieth of a second are rounded."""
 
 
@@ -25,10 +25,10 @@ def film_span(
     start: str | None,
     end: str | None,
     step: str | None,
-    fps: float = USUAL_FPS,
+    fps: float = DEFAULT_FPS,
     path: CameraPathSpec | None = None,
     first_second: float | None = None,
-    most_frames: int = MOST_FRAMES,
+    max_frames: int = MAX_FRAMES,
 ) -> FilmSpan:
     """Return the time span of a film.
 
@@ -47,7 +47,7 @@ def film_span(
         Path of the camera.
     first_second
         Clock reading of the first frame, seconds, if the ends are dates.
-    most_frames
+    max_frames
         Upper bound of the number of frames.
 
     Raises
@@ -55,14 +55,14 @@ def film_span(
     InputError
         The error names ``from``, ``to``, ``step``, ``fps`` or ``seconds``.
     """
-    if not LEAST_FPS <= fps <= MOST_FPS:
-        raise InputError("fps", fps, f"{LEAST_FPS:g} to {MOST_FPS:g} frames a second")
+    if not MIN_FPS <= fps <= MAX_FPS:
+        raise InputError("fps", fps, f"{MIN_FPS:g} to {MAX_FPS:g} frames a second")
     if path is not None and path.keys[0].moment is not None and start is None and end is None:
         start, end = path.keys[0].at, path.keys[-1].at
-    first = _end("from", "0s" if start is None and path is not None else start)
+    first = _parse_end("from", "0s" if start is None and path is not None else start)
     path_s = None if path is None else path.keys[-1].elapsed_s
     if end is not None:
-        last = _end("to", end)
+        last = _parse_end("to", end)
     elif path_s is not None:
         last = first + timedelta(seconds=path_s)
     else:
@@ -77,11 +77,11 @@ def film_span(
         raise InputError("to", end, f"a time that is not before from, {start}")
     if step is None and isinstance(first, datetime):
         raise InputError.missing("step", "Give the time between two frames, such as 10m, together with from and to")
-    step_s = 1.0 / fps if step is None else _step_s(step)
-    frames = floor(length_s / step_s + _SAME_FRAME) + 1
-    if frames > most_frames:
+    step_s = 1.0 / fps if step is None else _parse_step_s(step)
+    frames = floor(length_s / step_s + _STEP_TOLERANCE) + 1
+    if frames > max_frames:
         raise InputError.over_limit(
-            "step", f"{frames} frames, one every {step_s:g} s", f"{most_frames} frames", "Use a longer step or a shorter span"
+            "step", f"{frames} frames, one every {step_s:g} s", f"{max_frames} frames", "Use a longer step or a shorter span"
         )
     if isinstance(first, datetime):
         return FilmSpan(frames, step_s, first, first_second)
@@ -90,7 +90,7 @@ def film_span(
     return FilmSpan(frames, step_s, None, first_second if start is None else first.total_seconds())
 
 
-def _end(name: str, text: str | None) -> datetime | timedelta:
+def _parse_end(name: str, text: str | None) -> datetime | timedelta:
     """Return a time with an offset, or a clock reading. Raises ``InputError``."""
     if text is None:
         raise InputError.missing(name, "Give from and to together, or a camera path")
@@ -101,17 +101,17 @@ def _end(name: str, text: str | None) -> datetime | timedelta:
     try:
         moment = parse_time(text.strip())
     except ValueError:
-        raise InputError(name, text, _END_WORDS) from None
+        raise InputError(name, text, _ALLOWED_ENDS) from None
     if moment.tzinfo is None:
-        raise InputError(name, text, _END_WORDS)
+        raise InputError(name, text, _ALLOWED_ENDS)
     return moment
 
 
-def _step_s(text: str) -> float:
+def _parse_step_s(text: str) -> float:
     try:
         step_s = parse_duration(text).total_seconds()
     except ValueError:
         step_s = 0.0
-    if step_s < LEAST_STEP_S:
-        raise InputError("step", text, f"{ALLOWED_DURATIONS}; at least {LEAST_STEP_S:g}s")
+    if step_s < MIN_STEP_S:
+        raise InputError("step", text, f"{ALLOWED_DURATIONS}; at least {MIN_STEP_S:g}s")
     return step_s

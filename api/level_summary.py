@@ -15,7 +15,7 @@ from skugga.terrain.level.pin_scope import uncovered_altitudes
 from skugga.terrain.scene import Scene, build_scene
 
 
-def _cost_of_soft_lamps(scene: Scene) -> list[str]:
+def _soft_lamp_remarks(scene: Scene) -> list[str]:
     """Return a remark on the expected time of a map block under spherical lamps, and on the key that makes it cheaper."""
     from skugga.api.device_calibration import calibration_for
     from skugga.api.picture_cost import remedy
@@ -51,7 +51,7 @@ def remarks(source: Path | LevelSource) -> list[str]:
     scene = build_scene(load_level(source))
     objects, is_generated = scene.objects, scene.loaded.level.terrain.source is None
     _read_all(scene)
-    for name, seen in _planned(scene):
+    for name, seen in _views_to_plan(scene):
         try:
             plan_of_view(seen, seen.view(name), name, policy="rules")
         except UnsupportedError as error:
@@ -71,7 +71,7 @@ def remarks(source: Path | LevelSource) -> list[str]:
     if scene.lamps:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
     if any(lamp.radius_m > 0.0 for lamp in scene.lamps.values()):
-        notes += _cost_of_soft_lamps(scene)
+        notes += _soft_lamp_remarks(scene)
     if moving_keys := scene.loaded.level.moving_keys:
         notes.append(f"moving objects: {', '.join(moving_keys)}")
     notes += objects.notes
@@ -83,7 +83,7 @@ def remarks(source: Path | LevelSource) -> list[str]:
     return notes
 
 
-def _planned(scene: Scene) -> Iterator[tuple[str, Scene]]:
+def _views_to_plan(scene: Scene) -> Iterator[tuple[str, Scene]]:
     """Yield views and scenes, each under a sun, whose plans show whether a level's shadow settings are supported."""
     level = scene.loaded.level
     for name in level.views if level.views and level.shadows.algorithm != "auto" else ("map",):
@@ -104,13 +104,13 @@ def _read_all(scene: Scene) -> None:
     from skugga.terrain.gbuffer.view_geometry import ground_imagery
 
     objects = scene.objects
-    wrong: list[InputError] = []
+    errors: list[InputError] = []
     reads: list[Callable[[], object]] = [partial(scene.view, name) for name in scene.loaded.level.views]
     reads += [lambda: ground_imagery(scene), lambda: objects.placement, lambda: objects.trees, lambda: scene.lamps]
     for read in reads:
         try:
             read()
         except InputError as error:
-            wrong.append(error)
-    if wrong:
-        raise combined_error(wrong)
+            errors.append(error)
+    if errors:
+        raise combined_error(errors)

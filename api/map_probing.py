@@ -17,23 +17,23 @@ from skugga.terrain.scene import Scene
 if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
-FINEST, COARSEST_PX = 3, 128
-"""Range of probed pixel sizes: from a cell's side over 2 ** ``FINEST`` up to the size at which ``COARSEST_PX`` pixels show the
-level, as tiles do.
+FINEST_OCTAVES, COARSEST_PX = 3, 128
+"""Range of probed pixel sizes: from a cell's side over 2 ** ``FINEST_OCTAVES`` up to the size at which ``COARSEST_PX`` pixels show
+the level, as tiles do.
 """
 
 
-PROBED_PLACES = ((0.5, 0.5), (0.3, 0.62), (0.68, 0.28))
+PROBE_CENTERS = ((0.5, 0.5), (0.3, 0.62), (0.68, 0.28))
 """Centres of probed blocks, as fractions of the level's sides. One block predicts others poorly
 (``benchmarks/selection/blocks.py``)."""
 
-WIDE_BLOCKS = 2.0
+MIN_BLOCKS_FOR_SEVERAL_PROBES = 2.0
 """Length of a level, in blocks, above which several blocks are probed."""
 
 
 def probed_scales(scene: Scene) -> range:
     """Return the scales of a level's tiles (``skugga.selector.map_probes.MapClass``)."""
-    view, finest = _whole(scene), round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST
+    view, finest = _level_map(scene), round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST_OCTAVES
     longest_m = max(view.rows, view.cols) * map_pixel_m(scene.world, view)
     return range(finest, max(round(log2(longest_m / COARSEST_PX)), finest) + 1)
 
@@ -43,10 +43,10 @@ def under_class_sun(scene: Scene, sun: int) -> Scene:
 
     The scene's own sun is kept if it belongs to the class. Otherwise the sun has the class's middle altitude and the same azimuth.
     """
-    own = scene.sun
-    if own is not None and (found := map_class(1.0, own.altitude_deg)) is not None and found.sun == sun:
+    scene_sun = scene.sun
+    if scene_sun is not None and (own_class := map_class(1.0, scene_sun.altitude_deg)) is not None and own_class.sun == sun:
         return scene
-    azimuth_deg = 180.0 if own is None else own.azimuth_deg
+    azimuth_deg = 180.0 if scene_sun is None else scene_sun.azimuth_deg
     return scene.with_sun(SunSpec(azimuth=azimuth_deg, altitude=MapClass(0, sun).sun_altitude_deg))
 
 
@@ -61,10 +61,10 @@ def probe_blocks(
 
     Returns the plan of the first block and the observations of all. Raises ``SkuggaError``.
     """
-    places = probed_places(scene, pixel_m)
+    centers = probe_centers(scene, pixel_m)
     probed = [
-        probed_plan(scene, map_block(scene, pixel_m, at), overrides=overrides, device=device, budget_s=budget_s / len(places))
-        for at in places
+        probed_plan(scene, map_block(scene, pixel_m, at), overrides=overrides, device=device, budget_s=budget_s / len(centers))
+        for at in centers
     ]
     lights = dict.fromkeys(light for each in probed for light in each.seen)
     return ProbedView(
@@ -72,11 +72,11 @@ def probe_blocks(
     )
 
 
-def probed_places(scene: Scene, pixel_m: float) -> tuple[tuple[float, float], ...]:
+def probe_centers(scene: Scene, pixel_m: float) -> tuple[tuple[float, float], ...]:
     """Return the centres of probed blocks for ``map_block``: only one if a block shows much of the level."""
-    whole = _whole(scene)
+    whole = _level_map(scene)
     longest_px = max(whole.rows, whole.cols) * map_pixel_m(scene.world, whole) / pixel_m
-    return PROBED_PLACES if longest_px > WIDE_BLOCKS * BLOCK_PX else PROBED_PLACES[:1]
+    return PROBE_CENTERS if longest_px > MIN_BLOCKS_FOR_SEVERAL_PROBES * BLOCK_PX else PROBE_CENTERS[:1]
 
 
 def probe_maps(
@@ -91,30 +91,30 @@ def probe_maps(
     Raises ``InputError`` if no sun is above the horizon, and ``SkuggaError``.
     """
     altitude_deg = None if scene.sun is None else scene.sun.altitude_deg
-    of_sun = map_class(1.0, altitude_deg)
-    if of_sun is None:
+    sun_class = map_class(1.0, altitude_deg)
+    if sun_class is None:
         raise InputError("altitude", altitude_deg, "a sun above the horizon, under which maps are probed")
     classes = []
     for scale in probed_scales(scene):
         probed = probe_blocks(scene, 2.0**scale, device, overrides, budget_s)
         on_scale(scale, probed)
-        classes.append(ProbedClass(scale=scale, sun=of_sun.sun, seen=probed.seen))
+        classes.append(ProbedClass(scale=scale, sun=sun_class.sun, seen=probed.seen))
     return MapProbes(classes=tuple(classes))
 
 
-def _whole(scene: Scene) -> MapView:
+def _level_map(scene: Scene) -> MapView:
     view = scene.view("map", scene.default_bounds(scene.map_crs))
     assert isinstance(view, MapView)
     return view
 
 
-def map_block(scene: Scene, pixel_m: float, at: tuple[float, float] = (0.5, 0.5)) -> MapView:
+def map_block(scene: Scene, pixel_m: float, center: tuple[float, float] = (0.5, 0.5)) -> MapView:
     """Return a block of a level's map with pixels of ``pixel_m`` metres.
 
-    ``at`` is its centre, as fractions of the level's sides from the west and from the south.
+    ``center`` is its centre, as fractions of the level's sides from the west and from the south.
     """
     west, south, east, north = scene.default_bounds(scene.map_crs)
-    whole = _whole(scene)
+    whole = _level_map(scene)
     half = BLOCK_PX / 2 * pixel_m / map_pixel_m(scene.world, whole) * (east - west) / whole.cols
-    x, y = west + at[0] * (east - west), south + at[1] * (north - south)
+    x, y = west + center[0] * (east - west), south + center[1] * (north - south)
     return map_view(scene.world, scene.map_crs, (x - half, y - half, x + half, y + half), BLOCK_PX, BLOCK_PX)

@@ -48,13 +48,13 @@ def served_matrix_sets() -> dict[str, TileMatrixSet]:
     served = {}
     for name in registered.list():
         matrix_set = registered.get(name)
-        fits = all(
+        is_supported = all(
             (matrix.tileWidth, matrix.tileHeight) == (TILE_PX, TILE_PX)
             and not matrix.variableMatrixWidths
             and matrix.cornerOfOrigin == "topLeft"
             for matrix in matrix_set.tileMatrices
         )
-        if fits:
+        if is_supported:
             served[name] = matrix_set
     return served
 
@@ -79,14 +79,14 @@ def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBo
     At the first zoom the level's longest side is closest to ``LEVEL_TILES``, so that one or two tiles show it. The last zoom is
     ``OVERZOOMS`` beyond the one whose ground pixel size at the anchor is closest to ``cell_m`` (``detail_m``).
     """
-    if not _within_area(matrix_set, bounds_lon_lat):
+    if not _intersects_area(matrix_set, bounds_lon_lat):
         return None
     zooms = np.arange(matrix_set.minzoom, matrix_set.maxzoom + 1)
     pixel_m = np.array([step_at_anchor_m(world, tile_grid(matrix_set, int(zoom))) for zoom in zooms])
     if not (np.isfinite(pixel_m) & (pixel_m > 0)).all():
         return None
-    in_tiles = _longest_side_m(bounds_lon_lat) / (TILE_PX * pixel_m)
-    first = int(np.abs(np.log2(in_tiles / LEVEL_TILES)).argmin())
+    side_tiles = _longest_side_m(bounds_lon_lat) / (TILE_PX * pixel_m)
+    first = int(np.abs(np.log2(side_tiles / LEVEL_TILES)).argmin())
     last = min(int(np.abs(np.log2(pixel_m / cell_m)).argmin()) + OVERZOOMS, len(zooms) - 1)
     return ZoomRange(int(zooms[min(first, last)]), int(zooms[last]))
 
@@ -101,12 +101,12 @@ def check_tile(matrix_set: TileMatrixSet, zooms: ZoomRange, zoom: int, x: int, y
             raise NotServedError(name, f"{name}: tile {index} is outside the tile matrix. Allowed: 0 to {count - 1}.")
 
 
-def doubles(matrix_set: TileMatrixSet, zoom: int) -> bool:
+def is_quadtree_level(matrix_set: TileMatrixSet, zoom: int) -> bool:
     """Return whether a tile of a zoom covers exactly four tiles of the next zoom."""
     if zoom >= matrix_set.maxzoom:
         return False
-    here, next_ = matrix_set.matrix(zoom), matrix_set.matrix(zoom + 1)
-    return here.pointOfOrigin == next_.pointOfOrigin and abs(here.cellSize / next_.cellSize - 2.0) < 1e-9
+    current, next_ = matrix_set.matrix(zoom), matrix_set.matrix(zoom + 1)
+    return current.pointOfOrigin == next_.pointOfOrigin and abs(current.cellSize / next_.cellSize - 2.0) < 1e-9
 
 
 def tile_view(matrix_set: TileMatrixSet, zoom: int, x: int, y: int, scale: int) -> MapView:
@@ -165,7 +165,7 @@ def extent_off_data(crs: CRS, edges: tuple[float, float, float, float], data_lon
     return not (begins_inside or reaches_round)
 
 
-def _within_area(matrix_set: TileMatrixSet, bounds: LonLatBounds) -> bool:
+def _intersects_area(matrix_set: TileMatrixSet, bounds: LonLatBounds) -> bool:
     code = matrix_set.rasterio_crs.to_epsg()
     area = None if code is None else CRS.from_epsg(code).area_of_use
     if area is None:

@@ -36,15 +36,15 @@ TILE_CELLS = 512
 TILES_AT_A_TIME = 8
 """Adjacent tiles that are made from one window of the raster, which has 4 million cells."""
 
-ALTERNATIVE = "Use gdaladdo for such a raster"
+GDALADDO_REMEDY = "Use gdaladdo for such a raster"
 
 
-def missing_overviews(raster: Path) -> str | None:
+def reason_without_overviews(raster: Path) -> str | None:
     """Return why a raster needs no further overviews, in words; ``None`` if it lacks some.
 
     Raises ``SourceError``.
     """
-    with _opened(raster) as dataset:
+    with _open(raster) as dataset:
         rows, cols, factors = dataset.height, dataset.width, dataset.overviews(1)
         if lacks_overviews(rows, cols, factors):
             return None
@@ -86,33 +86,33 @@ def make_overviews(
     with ExitStack() as stack:
         stack.enter_context(rasterio.Env())
         stack.enter_context(warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning))  # overviews have none
-        dataset = stack.enter_context(_opened(raster))
+        dataset = stack.enter_context(_open(raster))
         _check(raster, target, dataset, nodata)
-        dtype, limits = np.dtype(dataset.dtypes[0]), _plausible(dataset, units, positive)
-        empty = _empty_value(dtype, limits, dataset.nodata if nodata is None else nodata)
+        dtype, limits = np.dtype(dataset.dtypes[0]), _plausible_range(dataset, units, positive)
+        overview_nodata = _nodata_value(dtype, limits, dataset.nodata if nodata is None else nodata)
         rows, cols = (-(-size // 2) for size in dataset.shape)
-        parts = [*_parts(rows, cols)]
+        parts = [*_tile_windows(rows, cols)]
         total = len(parts) + max(len(parts) // 3, 1)  # the coarser overviews have a third of the cells
-        with atomic_path(target) as made:
+        with atomic_path(target) as partial_path:
             with rasterio.open(
-                made, "w", driver="GTiff", width=cols, height=rows, count=1, dtype=dtype, nodata=empty, tiled=True,
-                blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="deflate", zlevel=1, num_threads="ALL_CPUS",
+                partial_path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype=dtype, nodata=overview_nodata,
+                tiled=True, blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="deflate", zlevel=1, num_threads="ALL_CPUS",
                 predictor=3 if dtype.kind == "f" else 2, bigtiff="if_safer", sparse_ok=True,
-            ) as half:  # fmt: skip
+            ) as first_overview:  # fmt: skip
                 for done, window in enumerate(parts, start=1):
-                    _write(half, _halved(dataset, window, limits, nodata, empty), window, made)
+                    _write(first_overview, _first_overview(dataset, window, limits, nodata, overview_nodata), window, partial_path)
                     if on_part is not None:
                         on_part(done, total)
                 factors = [2**n for n in range(1, overview_level(*dataset.shape))]
                 if factors:
-                    _build_coarser(half, factors, made)
-            check_raster(made)
+                    _build_coarser(first_overview, factors, partial_path)
+            check_raster(partial_path)
     if on_part is not None:
         on_part(total, total)
-    with _opened(raster) as dataset:
+    with _open(raster) as dataset:
         if lacks_overviews(dataset.height, dataset.width, dataset.overviews(1)):
             target.unlink()
-            raise SourceError(str(raster), f"GDAL looks for no external overviews of a {dataset.driver} file", ALTERNATIVE)
+            raise SourceError(str(raster), f"GDAL looks for no external overviews of a {dataset.driver} file", GDALADDO_REMEDY)
     return target
 
 
@@ -130,7 +130,7 @@ def _build_coarser(half: DatasetWriter, factors: list[int], path: Path) -> None:
         raise write_error(path, "the overviews", error) from error
 
 
-def _opened(raster: Path) -> rasterio.DatasetReader:
+def _open(raster: Path) -> rasterio.DatasetReader:
     try:
         with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
             return open_raster(str(raster))
@@ -150,9 +150,9 @@ def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: 
             dataset.count and dataset.overviews(1) and not target.is_file()
         ),
     }
-    for reason, there in reasons.items():
-        if there:
-            raise SourceError(str(raster), reason, f"Only one band of heights without overviews is supported. {ALTERNATIVE}")
+    for reason, valid in reasons.items():
+        if valid:
+            raise SourceError(str(raster), reason, f"Only one band of heights without overviews is supported. {GDALADDO_REMEDY}")
     dtype = np.dtype(dataset.dtypes[0])
     if nodata is not None and dtype.kind in "iu":
         limits = np.iinfo(dtype)
@@ -160,7 +160,7 @@ def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: 
             raise InputError("--nodata", f"{nodata:g}", f"a value of the raster's cell type, {dtype}")
 
 
-def _plausible(dataset: rasterio.DatasetReader, units: Units | None, positive: Positive | None) -> tuple[float, float]:
+def _plausible_range(dataset: rasterio.DatasetReader, units: Units | None, positive: Positive | None) -> tuple[float, float]:
     """Return the range of cell values that count as plausible heights."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
     unit = vertical_axis(dataset.name, dataset, units, positive).scale
@@ -168,7 +168,7 @@ def _plausible(dataset: rasterio.DatasetReader, units: Units | None, positive: P
     return low, high
 
 
-def _empty_value(dtype: np.dtype, limits: tuple[float, float], nodata: float | None) -> float | None:
+def _nodata_value(dtype: np.dtype, limits: tuple[float, float], nodata: float | None) -> float | None:
     """Return the overviews' nodata value, which no height has; ``None`` if all values are plausible heights."""
     if nodata is not None:
         return nodata
@@ -178,7 +178,7 @@ def _empty_value(dtype: np.dtype, limits: tuple[float, float], nodata: float | N
     return next((float(value) for value in bounds if not limits[0] <= value <= limits[1]), None)
 
 
-def _parts(rows: int, cols: int) -> Iterator[Window]:
+def _tile_windows(rows: int, cols: int) -> Iterator[Window]:
     """Yield windows of whole tiles that cover a raster."""
     wide = TILE_CELLS * TILES_AT_A_TIME
     for row in range(0, rows, TILE_CELLS):
@@ -186,18 +186,18 @@ def _parts(rows: int, cols: int) -> Iterator[Window]:
             yield Window(col, row, min(wide, cols - col), min(TILE_CELLS, rows - row))
 
 
-def _halved(
+def _first_overview(
     dataset: rasterio.DatasetReader, window: Window, limits: tuple[float, float], nodata: float | None, empty: float | None
 ) -> np.ndarray:
     """Return cells of the first overview, computed from twice as many rows and columns of the raster."""
     row, col = 2 * window.row_off, 2 * window.col_off
-    below = Window(col, row, min(2 * window.width, dataset.width - col), min(2 * window.height, dataset.height - row))
+    source_window = Window(col, row, min(2 * window.width, dataset.width - col), min(2 * window.height, dataset.height - row))
     try:
-        values = dataset.read(1, window=below)
+        values = dataset.read(1, window=source_window)
     except RasterioError:
         raise SourceError(dataset.name, "a part cannot be read", "Use an undamaged file") from None
-    none = [value for value in (dataset.nodata, nodata) if value is not None and not np.isnan(value)]
-    first, second = (none * 2)[:2] if none else (np.nan, np.nan)
+    nodata_values = [value for value in (dataset.nodata, nodata) if value is not None and not np.isnan(value)]
+    first, second = (nodata_values * 2)[:2] if nodata_values else (np.nan, np.nan)
     means = _means(values, limits[0], limits[1], first, second, np.nan if empty is None else float(empty))
     return (np.rint(means) if values.dtype.kind in "iu" else means).astype(values.dtype)
 

@@ -8,7 +8,7 @@ from skugga.selector.formatting import format_list
 from skugga.shadows.plan import Plan
 from skugga.terrain.level.level import SUN
 
-NOTABLE_MS = 5000.0
+SLOW_PICTURE_MS = 5000.0
 """Expected time from which on reports name a cheaper setting."""
 
 
@@ -35,16 +35,16 @@ def remedy(plan: Plan) -> str | None:
     return f"{keys} makes shadows hard, which need 1 sample point of a lamp instead of {max(lamps.values())}"
 
 
-def check_cost(plan: Plan, subject: str, most_ms: float | None, bound: str) -> None:
-    """Raise ``TooCostlyError`` if a calibrated device is expected to take longer than ``most_ms`` for a picture.
+def check_cost(plan: Plan, subject: str, limit_ms: float | None, bound: str) -> None:
+    """Raise ``TooCostlyError`` if a calibrated device is expected to take longer than ``limit_ms`` for a picture.
 
     ``subject`` names the picture and ``bound`` the setting of the limit in the message.
     """
     expected_ms = None if plan.predicted is None else plan.predicted.ms
-    if most_ms is None or expected_ms is None or expected_ms <= most_ms:
+    if limit_ms is None or expected_ms is None or expected_ms <= limit_ms:
         return
     reason = f"{subject} by {plan.headline} is expected to take {expected_ms / 1000.0:.0f} s"
     cheaper = remedy(plan)
     raise TooCostlyError.over_limit(
-        "size", reason, f"{most_ms / 1000.0:g} s ({bound})", cheaper or "Use a faster algorithm or a smaller picture"
+        "size", reason, f"{limit_ms / 1000.0:g} s ({bound})", cheaper or "Use a faster algorithm or a smaller picture"
     )

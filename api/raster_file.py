@@ -47,7 +47,7 @@ class RasterCells:
 
 
 @dataclass(frozen=True, eq=False)
-class RasterNotes:
+class RasterMetadata:
     """Metadata of a raster.
 
     Attributes
@@ -105,33 +105,33 @@ def cog(
     bands: int,
     dtype: str,
     nodata: float | None,
-    smooth: bool,
-    notes: RasterNotes | None = None,
+    is_smooth: bool,
+    metadata: RasterMetadata | None = None,
 ) -> Iterator[RasterFile]:
     """Open a cloud-optimised GeoTIFF for writing.
 
-    ``smooth`` makes its overviews of means; otherwise they take the nearest cell. The file replaces ``path`` when it is written and
-    has been read back. A failure leaves the previous file in place. Raises ``OSError``.
+    ``is_smooth`` makes its overviews of means; otherwise they take the nearest cell. The file replaces ``path`` when it is written
+    and has been read back. A failure leaves the previous file in place. Raises ``OSError``.
     """
     rows, cols = shape
-    with rasterio.Env(), atomic_path(path) as done:
-        raw = done.parent / "cells" / "raw.tif"
+    with rasterio.Env(), atomic_path(path) as target:
+        raw = target.parent / "cells" / "raw.tif"
         raw.parent.mkdir()
         with rasterio.open(
             raw, "w", driver="GTiff", width=cols, height=rows, count=bands, dtype=dtype, crs=crs.to_wkt(), transform=transform,
             nodata=nodata, tiled=True, blockxsize=TILE, blockysize=TILE, compress="lzw", bigtiff="if_safer", sparse_ok=True,
         ) as dataset:  # fmt: skip
-            if notes is not None:
-                notes.write(dataset)
+            if metadata is not None:
+                metadata.write(dataset)
             yield RasterFile(dataset)
         try:
             copy(
-                raw, done, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE, BIGTIFF="IF_SAFER",
-                OVERVIEW_RESAMPLING="AVERAGE" if smooth else "NEAREST", NUM_THREADS="ALL_CPUS",
+                raw, target, driver="COG", COMPRESS="DEFLATE", BLOCKSIZE=TILE, BIGTIFF="IF_SAFER",
+                OVERVIEW_RESAMPLING="AVERAGE" if is_smooth else "NEAREST", NUM_THREADS="ALL_CPUS",
             )  # fmt: skip
         except Exception as error:  # GDAL's own errors, for which rasterio has no public base class
-            raise write_error(done, "the raster", error) from error
-        check_raster(done)
+            raise write_error(target, "the raster", error) from error
+        check_raster(target)
 
 
 def check_raster(path: Path) -> None:

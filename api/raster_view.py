@@ -20,13 +20,13 @@ from skugga.terrain.scene import Scene
 
 Bounds = tuple[float, float, float, float]
 
-SQUARE = 1e-6
+ASPECT_TOLERANCE = 1e-6
 """Tolerance of a square cell's aspect ratio."""
 
 MAX_RESOLUTION = 1e8
 """Upper bound of a resolution, CRS units. In metres it is more than twice the earth's circumference."""
 
-MOST_CELLS = 2.0**40
+MAX_CELLS = 2.0**40
 """Cells of an output raster, at most."""
 
 
@@ -46,7 +46,7 @@ class CellOrder:
     rows_reversed: bool = False
     cols_reversed: bool = False
 
-    def in_raster(self, array: np.ndarray) -> np.ndarray:
+    def in_raster_order(self, array: np.ndarray) -> np.ndarray:
         """Return cells (rows, cols, ...) of the view in the raster's order."""
         cells = array.swapaxes(0, 1) if self.transposed else array
         return cells[:: -1 if self.rows_reversed else 1, :: -1 if self.cols_reversed else 1]
@@ -82,7 +82,7 @@ class RasterView:
 
         ``row`` and ``col`` are the first cell of ``array`` (rows, cols, ...) in the view.
         """
-        cells = self.order.in_raster(array)
+        cells = self.order.in_raster_order(array)
         first_row, first_col = (col, row) if self.order.transposed else (row, col)
         rows, cols = self.shape
         if self.order.rows_reversed:
@@ -142,19 +142,19 @@ def raster_view(
         for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution)):
             if value is not None:
                 raise InputError.conflict(name, "like")
-        return _like(scene, cells_of_raster(like) if isinstance(like, Path) else like)
-    asked = scene.view("map", bounds, crs)  # checks the parameters
-    target = asked.grid.crs if isinstance(asked, MapView) else scene.map_crs
-    nothing_asked = crs is None and bounds is None
-    if resolution is None and (nothing_asked or target == scene.elevation.crs):
-        own = _own(scene)
+        return _view_like(scene, cells_of_raster(like) if isinstance(like, Path) else like)
+    map_view = scene.view("map", bounds, crs)  # checks the parameters
+    target = map_view.grid.crs if isinstance(map_view, MapView) else scene.map_crs
+    is_default = crs is None and bounds is None
+    if resolution is None and (is_default or target == scene.elevation.crs):
+        own = _level_raster_view(scene)
         if own is not None:
-            return own if bounds is None else _within(own, bounds)
+            return own if bounds is None else _crop(own, bounds)
     west, south, east, north = bounds or scene.default_bounds(target)
     if resolution is None:
         cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
         resolution = float(f"{cell_m / step_at_anchor_m(scene.world, Grid(target, 0.0, 0.0, 1.0)):.3g}")
-    if not 0.0 < resolution <= MAX_RESOLUTION or (east - west) / resolution * (north - south) / resolution > MOST_CELLS:
+    if not 0.0 < resolution <= MAX_RESOLUTION or (east - west) / resolution * (north - south) / resolution > MAX_CELLS:
         raise InputError(
             "resolution",
             resolution,
@@ -168,7 +168,7 @@ def raster_view(
     return RasterView(view, CellOrder(), target, Affine(resolution, 0.0, west, 0.0, -resolution, north))
 
 
-def _own(scene: Scene) -> RasterView | None:
+def _level_raster_view(scene: Scene) -> RasterView | None:
     elevation = scene.elevation
     return _view_of(RasterCells(elevation.name, elevation.crs, elevation.geotransform, elevation.rows, elevation.cols))
 
@@ -185,20 +185,20 @@ def cells_of_raster(path: Path) -> RasterCells:
     return RasterCells(str(path), CRS.from_user_input(crs.to_wkt()), transform, rows, cols)
 
 
-def _like(scene: Scene, cells: RasterCells) -> RasterView:
+def _view_like(scene: Scene, cells: RasterCells) -> RasterView:
     scene.check_crs(cells.name, cells.crs)
-    found = _view_of(cells)
-    if found is None:
+    view = _view_of(cells)
+    if view is None:
         raise SourceError(cells.name, "its grid is rotated", "Use a raster with rows and columns along the axes of its CRS")
-    west, south, east, north = found.view.bounds
-    right, up = (east - west) / found.view.cols / 2.0, (north - south) / found.view.rows / 2.0
+    west, south, east, north = view.view.bounds
+    right, up = (east - west) / view.view.cols / 2.0, (north - south) / view.view.rows / 2.0
     if not scene.overlaps(cells.crs, (west + right, south + up, east - right, north - up)):  # the cells' centres
         own = scene.default_bounds(cells.crs)
-        raise InputError("like", cells.name, f"a raster that overlaps the level; {_extents(found.view.bounds, own, cells.crs)}")
-    return found
+        raise InputError("like", cells.name, f"a raster that overlaps the level; {_extents(view.view.bounds, own, cells.crs)}")
+    return view
 
 
-def reach_beside(scene: Scene, raster: RasterView) -> str | None:
+def extent_warning(scene: Scene, raster: RasterView) -> str | None:
     """Return a warning about a raster that extends beyond the level by more than a cell, else ``None``."""
     try:
         own = scene.default_bounds(raster.crs)
@@ -214,10 +214,10 @@ def reach_beside(scene: Scene, raster: RasterView) -> str | None:
     return f"the raster extends beyond the level and is empty there; {_extents(raster.view.bounds, own, raster.crs)}"
 
 
-def _extents(theirs: Bounds, own: Bounds, crs: CRS) -> str:
+def _extents(raster_bounds: Bounds, level_bounds: Bounds, crs: CRS) -> str:
     """Return the extents of a raster and of a level in words."""
-    there, here = (",".join(f"{value:.9g}" for value in bounds) for bounds in (theirs, own))
-    return f"the raster is {there}, the level {here} (west,south,east,north in {crs.name})"
+    raster_text, level_text = (",".join(f"{value:.9g}" for value in bounds) for bounds in (raster_bounds, level_bounds))
+    return f"the raster is {raster_text}, the level {level_text} (west,south,east,north in {crs.name})"
 
 
 def _view_of(cells: RasterCells) -> RasterView | None:
@@ -243,11 +243,11 @@ def _lattice(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, r
     ``x0`` and ``y0`` are the centre of the first cell; the steps are the sides of a cell.
     """
     stretch = row_step / col_step
-    grid = Grid(crs, x0, y0, col_step, 1.0 if abs(stretch - 1.0) <= SQUARE else stretch)
+    grid = Grid(crs, x0, y0, col_step, 1.0 if abs(stretch - 1.0) <= ASPECT_TOLERANCE else stretch)
     return MapView(grid, 0.0, 0.0, 1.0, 1.0, rows, cols)
 
 
-def _within(own: RasterView, bounds: Bounds) -> RasterView:
+def _crop(own: RasterView, bounds: Bounds) -> RasterView:
     """Return the part of a raster whose cells intersect bounds in its CRS."""
     west, south, east, north = bounds
     view = own.view

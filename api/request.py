@@ -39,15 +39,15 @@ class RequestedSettings(_Value):
     @field_validator("asked")
     @classmethod
     def _allowed(cls, asked: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
-        override(Shadows(), _unspelt(asked))
+        override(Shadows(), _parsed(asked))
         return asked
 
     def for_selector(self) -> dict[str, Any]:
         """Return the settings in the form that the policies of ``skugga.selector.select`` take."""
-        return _unspelt(self.asked)
+        return _parsed(self.asked)
 
 
-def _unspelt(asked: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+def _parsed(asked: Iterable[tuple[str, Any]]) -> dict[str, Any]:
     return {key: parse_algorithm(value) if key == "algorithm" else value for key, value in asked}
 
 

@@ -142,12 +142,12 @@ class Settings(BaseSettings):
 
     @field_validator("cors_origins", "data_roots", mode="before")
     @classmethod
-    def _split(cls, value: Any) -> Any:
+    def _split_by_commas(cls, value: Any) -> Any:
         return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
 
     @field_validator("egl_device")
     @classmethod
-    def _read_as_the_processes_do_that_draw(cls, value: str) -> str:
+    def _check_egl_device(cls, value: str) -> str:
         try:
             read_setting(value)
         except InputError as error:

@@ -59,7 +59,7 @@ def read_stac_item(path: Path) -> StacItem:
         raise InputError(
             "--stac", Problem(f"{path} is not a STAC item" + (f" but a {kind}" if kind else "")), "Use JSON of the type Feature"
         )
-    return StacItem(_sun(path, item["properties"]), _finest(path, item))
+    return StacItem(_sun(path, item["properties"]), _finest_cells(path, item))
 
 
 def _sun(path: Path, properties: Mapping[str, Any]) -> SunSpec:
@@ -95,7 +95,7 @@ def _moment(path: Path, name: str, text: Any) -> SunSpec:
     return moment
 
 
-def _finest(path: Path, item: Mapping[str, Any]) -> RasterCells | None:
+def _finest_cells(path: Path, item: Mapping[str, Any]) -> RasterCells | None:
     """Return the grid with the smallest cells of an item and its assets, the first of equal ones."""
     found = list(_all_cells(path, item))
     return min(found, key=lambda cells: abs(cells.transform.determinant), default=None)
@@ -105,9 +105,9 @@ def _all_cells(path: Path, item: Mapping[str, Any]) -> Iterator[RasterCells]:
     common = {name: value for name, value in item["properties"].items() if name.startswith("proj:")}
     assets = item.get("assets")
     for asset in ({}, *(assets.values() if isinstance(assets, dict) else ())):
-        stated = {**common, **{name: value for name, value in asset.items() if name.startswith("proj:")}}
-        code = stated.get("proj:code") or stated.get("proj:epsg")
-        transform, shape = stated.get("proj:transform"), stated.get("proj:shape")
+        fields = {**common, **{name: value for name, value in asset.items() if name.startswith("proj:")}}
+        code = fields.get("proj:code") or fields.get("proj:epsg")
+        transform, shape = fields.get("proj:transform"), fields.get("proj:shape")
         if code is None or transform is None or shape is None:
             continue
         try:
@@ -115,10 +115,10 @@ def _all_cells(path: Path, item: Mapping[str, Any]) -> Iterator[RasterCells]:
             a, b, c, d, e, f = (float(number) for number in transform[:6])
             crs = CRS.from_user_input(code)
         except (TypeError, ValueError, CRSError):
-            stating = f"{code}, {transform}, {shape}"
+            given_text = f"{code}, {transform}, {shape}"
             raise InputError(
                 f"{path}: proj:code, proj:transform, proj:shape",
-                stating,
+                given_text,
                 "a CRS, six or nine numbers, and rows and columns",
             ) from None
         yield RasterCells(str(path), crs, Affine(a, b, c, d, e, f), rows, cols)

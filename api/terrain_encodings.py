@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-LARGEST = 2**24 - 1
+MAX_CODE = 2**24 - 1
 """Largest code of three bytes."""
 
 
@@ -28,5 +28,5 @@ def terrarium(height_m: np.ndarray) -> np.ndarray:
 
 
 def _three_bytes(steps: np.ndarray) -> np.ndarray:
-    whole = np.clip(np.rint(steps), 0, LARGEST).astype(np.uint32)
-    return np.stack([whole >> 16, whole >> 8 & 255, whole & 255], axis=-1).astype(np.uint8)
+    codes = np.clip(np.rint(steps), 0, MAX_CODE).astype(np.uint32)
+    return np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)

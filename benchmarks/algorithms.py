@@ -110,7 +110,7 @@ TARGETS = [
 ]
 """Scene, view, what is asked to be fast, beside what, and the ratio of their times."""
 
-MOST_MARKED = 0.25
+MAX_MARKED = 0.25
 """Share of the box grids' pixels that the hybrid may leave to its volumes, where the eye is in the shadow."""
 
 Row = dict[str, Any]
@@ -227,15 +227,15 @@ class Shot:
     def dark(self, visibility: list[np.ndarray]) -> np.ndarray:
         """Where pixels are in shadow (rows, cols), attached shadow among it; False off the surface."""
         rows = [
-            picture.own.there & ((each[: picture.rows] < 0.5) | attached(picture.own, self.scene, *self.scene.light_names))
+            picture.own.valid & ((each[: picture.rows] < 0.5) | attached(picture.own, self.scene, *self.scene.light_names))
             for each, (picture, _) in zip(visibility, self.bands, strict=True)
         ]
         return np.concatenate(rows)
 
     @property
-    def there(self) -> np.ndarray:
+    def valid(self) -> np.ndarray:
         """Where there is a surface (rows, cols)."""
-        return np.concatenate([picture.own.there for picture, _ in self.bands])
+        return np.concatenate([picture.own.valid for picture, _ in self.bands])
 
     def _of_band(self, picture: MultisampledBuffer, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
         (light,) = self.scene.light_names
@@ -314,8 +314,8 @@ def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: ar
     times, logs, darks = found.times_ms, found.logs, found.darks
     first = [*plans][0]
     medians = {key: float(np.median(milliseconds)) for key, milliseconds in times.items()}
-    there, rows = view_shot.there, []
-    tiles = int(marked_tiles(*np.nonzero(there), there.shape).sum())
+    valid, rows = view_shot.valid, []
+    tiles = int(marked_tiles(*np.nonzero(valid), valid.shape).sum())
     for key in plans:
         records = logs[key].records.values()
         row: Row = {"scene": level.removeprefix("thesis_"), "view": name, "row": key}
@@ -324,9 +324,9 @@ def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: ar
             row |= {f"{how}_p95_ms": float(np.quantile(times[key, how], 0.95))}
         row |= {"MiB": max(record.bytes for record in records) / 2**20}
         row |= {each: sum(getattr(record, each) for record in records) for each in ("edges", "triangles", "draws", "map_texels")}
-        row |= {"marked": sum(record.marked for record in records) / there.sum()}
+        row |= {"marked": sum(record.marked for record in records) / valid.sum()}
         row |= {"tiles": sum(record.tiles for record in records) / tiles}
-        row |= {"differs": float((darks[key] != darks["shadow_volume"]).sum() / there.sum())}
+        row |= {"differs": float((darks[key] != darks["shadow_volume"]).sum() / valid.sum())}
         rows.append({**row, "passes_ms": {record.name: round(record.ms, 1) for record in records}})
         print(level, name, key, f"{row['redrawn']:.2f}", f"{row['kept']:.2f}", flush=True)
     return rows
@@ -346,7 +346,7 @@ def targets(rows: Sequence[Row]) -> list[Row]:
     for (scene, view, key), row in row_by_key.items():
         if key == "hybrid" and view in (IN_SHADOW, "close"):
             share = row["marked"]
-            found.append(_target(scene, view, f"marked pixels: at most {MOST_MARKED}", share, share, share <= MOST_MARKED))
+            found.append(_target(scene, view, f"marked pixels: at most {MAX_MARKED}", share, share, share <= MAX_MARKED))
     return found
 
 

@@ -33,7 +33,7 @@ from pyproj import CRS
 from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, paths_in
 from skugga.api.compute import write_rasters
 from skugga.api.matrices import zoom_range
-from skugga.api.overviews import make_overviews, missing_overviews
+from skugga.api.overviews import make_overviews, reason_without_overviews
 from skugga.api.raster_view import raster_view
 from skugga.api.request import ProductRequest
 from skugga.api.workers.jobs import BlockJob, LevelKey, Tiles
@@ -283,7 +283,7 @@ def main() -> None:
     for made in make_rasters(args.folder, args.raster):
         print(f"{made.path.name}: {made.path.stat().st_size / 2**20:.0f} MiB, made in {made.made_s:.0f} s", flush=True)
     vrt = paths_in(args.folder)[-1]
-    if missing_overviews(vrt) is None:
+    if reason_without_overviews(vrt) is None:
         start = time.perf_counter()
         path = make_overviews(vrt)
         print(f"{path.name}: {path.stat().st_size / 2**20:.0f} MiB, {time.perf_counter() - start:.0f} s", flush=True)

@@ -133,12 +133,12 @@ def sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns:
     return page
 
 
-def sheet_bytes(page: Image.Image, suffix: str, most_bytes: int) -> bytes:
+def sheet_bytes(page: Image.Image, suffix: str, max_bytes: int) -> bytes:
     """The page as PNG, or as WebP in the best quality that keeps it within a size; in the least one if none does."""
     for quality in QUALITIES:
         buffer = BytesIO()
         page.save(buffer, suffix.removeprefix("."), quality=quality, method=6)
-        if buffer.tell() <= most_bytes or suffix == ".png":
+        if buffer.tell() <= max_bytes or suffix == ".png":
             break
     return buffer.getvalue()
 

@@ -76,7 +76,7 @@ from skugga.terrain.sky import sky
 SIDE_PX, CELL_M, WAVE_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
 """The plain: cells a side and a map's pixels, their size, and the length and height of the waves of its ground."""
 
-MOST_PLAIN = 1.15
+MAX_PLAIN = 1.15
 """What a plain at noon may take at most, as a ratio to a frame without any code of effects."""
 
 SIZE = [800, 500]
@@ -215,7 +215,7 @@ def plain(given: argparse.Namespace) -> list[Row]:
             rows.append({
                 "view": name, "bare_ms": _median(bare), "plan_ms": _median(one.plan_ms for one in drawn),
                 "without plan": _median((one.ms - one.plan_ms) / ms for one, ms in zip(drawn, bare, strict=True)),
-                "with plan": ratio, "at most": MOST_PLAIN, "met": "yes" if ratio <= MOST_PLAIN else "NO", "all on": forced_on,
+                "with plan": ratio, "at most": MAX_PLAIN, "met": "yes" if ratio <= MAX_PLAIN else "NO", "all on": forced_on,
             })  # fmt: skip
     return rows
 
@@ -258,7 +258,7 @@ def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarra
     visibility = 1.0 - attached(buffer, scene).astype(np.float32)
     linear, layers = shade(buffer, scene, visibility), [visibility[: view.rows], own.height_m]
     if not above:
-        row, col = np.nonzero(~buffer.there)
+        row, col = np.nonzero(~buffer.valid)
         linear[row, col] = sky(scene, view, *picture.pixels_of(row, col))
         linear = picture.averaged(linear)
         layers.append(own.position_frame_m)

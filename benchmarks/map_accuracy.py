@@ -66,7 +66,7 @@ def measure(scene: Scene, pixels: int, algorithm: AlgorithmName, map_size: int, 
         visibility = fill_steps([step], buffer, lit, casters, plan.runs, PassLog())
         visibility[attached(buffer, lit)] = 0.0
         found = error_metrics(visibility, truth, descriptor.pixel_m, texel_footprint_px(lit, step, buffer, descriptor.pixel_m))
-        shadowed = float((~truth.lit & truth.there).sum() / max(truth.there.sum(), 1))
+        shadowed = float((~truth.lit & truth.valid).sum() / max(truth.valid.sum(), 1))
         rows.append({"azimuth": azimuth, "altitude": altitude, "shadow": shadowed, **asdict(found)})
     return rows
 

@@ -32,7 +32,7 @@ from skugga.terrain.geo.sun import direction_enu
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
-MOST_CELLS = 4_000_000
+MAX_CELLS = 4_000_000
 """Largest raster that is compared with rays."""
 
 ASIDE_DEG = 0.02
@@ -117,7 +117,7 @@ def measured(name: str, count: int, day: date) -> str:
     warm = np.array([timed(lambda at=at: report(scene, at, crs, day)) for at in places[1:]])
     horizons = np.array([timed(lambda at=at: whole(scene, at, crs)) for at in places[1:]])
     agree = "-"
-    if scene.elevation.rows * scene.elevation.cols <= MOST_CELLS and scene.elevation.is_north_up:
+    if scene.elevation.rows * scene.elevation.cols <= MAX_CELLS and scene.elevation.is_north_up:
         try:
             agree = f"{100.0 * share_agreeing(scene, places[:8], crs):.2f} %"
         except InputError:

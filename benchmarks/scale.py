@@ -29,7 +29,7 @@ import numpy as np
 from benchmarks.seed import SUN, cluster, mosaic
 from skugga.api.matrices import ZoomRange
 from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
-from skugga.api.seed.messages import Drawn, Task
+from skugga.api.seed.messages import Task, TaskResult
 from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
 from skugga.api.seed.running import run_tasks
 from skugga.api.seed.storage import FolderStore
@@ -100,11 +100,11 @@ class Idle:
         """As the protocol says."""
         self._given.append(task)
 
-    def wait(self, timeout_s: float) -> Sequence[Drawn]:
+    def wait(self, timeout_s: float) -> Sequence[TaskResult]:
         """As the protocol says: one at a time, as workers end one by one."""
         task = self._given.popleft()
         index, _ = ShardIndex.of({4**12 + 16 * task.id + i: b"tile" for i in range(16)})
-        return [Drawn(task.id, index.to_bytes(), 64, 1.0, 0.1, 0)]
+        return [TaskResult(task.id, index.to_bytes(), 64, 1.0, 0.1, 0)]
 
     def close(self) -> None:
         """As the protocol says."""
@@ -145,8 +145,8 @@ def dask_per_s(folder: Path, tasks: int = 2000) -> float:
         return tasks / (time.perf_counter() - start)
 
 
-def _nothing(number: int, index: bytes) -> Drawn:
-    return Drawn(number, index, 0, 0.0, 0.0, 0)
+def _nothing(number: int, index: bytes) -> TaskResult:
+    return TaskResult(number, index, 0, 0.0, 0.0, 0)
 
 
 def packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tuple[float, float]:

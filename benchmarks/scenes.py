@@ -127,7 +127,7 @@ def thinning(count: int) -> None:
                     buffer = geometry_buffer(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))
                     drawn = len(buffer.tree_instances)
                     lit = lit_mask(buffer, scene, "sun", ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS))
-                    parts.append(block_shares(np.where(buffer.there, 1.0 - lit, np.nan)))
+                    parts.append(block_shares(np.where(buffer.valid, 1.0 - lit, np.nan)))
                 shares.append(np.array(parts))
             means = [float(np.nanmean(share)) for share in shares]
             print(f"{name}: {drawn} of {count} trees; shadow share {means[1]:.4f} against {means[0]:.4f}, "

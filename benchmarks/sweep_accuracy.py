@@ -51,7 +51,7 @@ class Raster:
 
     name: str
     height_m: np.ndarray
-    there: np.ndarray
+    valid: np.ndarray
     cell_m: tuple[float, float]
 
     @property
@@ -113,15 +113,15 @@ class GridRays:
         ``TIE_DEG`` lower or higher: whole metres and equal cells make ties at some azimuths, which rounding decides.
         """
         lower, to_sun, higher = (_direction(azimuth_deg, altitude_deg + step) for step in (-TIE_DEG, 0.0, TIE_DEG))
-        there = np.flatnonzero(self._there)
-        lit = self._sees(self._drawn, there, to_sun, 1.0)
+        valid = np.flatnonzero(self._there)
+        lit = self._sees(self._drawn, valid, to_sun, 1.0)
         light, dark = lit.copy(), ~lit
-        light[light] = self._sees(self._drawn, there[light], lower, 1.0)
-        dark[dark] = ~self._sees(self._drawn, there[dark], higher, 4.0)
+        light[light] = self._sees(self._drawn, valid[light], lower, 1.0)
+        dark[dark] = ~self._sees(self._drawn, valid[dark], higher, 4.0)
         drawn = light | dark
-        light[light] = self._sees(self._other, there[light], lower, 1.0)
-        dark[dark] = ~self._sees(self._other, there[dark], higher, 4.0)
-        return GridTruth(*(self._grid(there, values) for values in (lit, drawn, light | dark)))
+        light[light] = self._sees(self._other, valid[light], lower, 1.0)
+        dark[dark] = ~self._sees(self._other, valid[dark], higher, 4.0)
+        return GridTruth(*(self._grid(valid, values) for values in (lit, drawn, light | dark)))
 
     def _sees(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offsets: float) -> np.ndarray:
         seen = np.empty(len(nodes), bool)
@@ -147,7 +147,7 @@ def figures_of(
 ) -> SweepFigures:
     """Hold an answer (rows, cols), True where the sun is seen, against truth where that is ``certain``, one of its masks."""
     known = np.isfinite(raster.height_m)
-    decided = certain & raster.there
+    decided = certain & raster.valid
     wrong = decided & (lit != truth.lit)
     count = max(int(decided.sum()), 1)
     return SweepFigures(
@@ -160,7 +160,7 @@ def figures_of(
         false_shadow=int((wrong & truth.lit).sum()) / count,
         missed_shadow=int((wrong & ~truth.lit).sum()) / count,
         interior=int(interior(wrong, ~truth.lit & known, known, INTERIOR_PX).sum()) / count,
-        undecided=float((~certain)[raster.there].mean()),
+        undecided=float((~certain)[raster.valid].mean()),
     )
 
 
@@ -184,14 +184,14 @@ def read(path: Path, crop: int) -> Raster:
     middle = [int(np.median(indices) + 0.5) * 2**elevation.overview.level for indices in known]
     first = [int(np.clip(m - s // 2, 0, length - s)) for m, s, length in zip(middle, size, shape, strict=True)]
     row, col = np.meshgrid(*(f + np.arange(s, dtype=float) for f, s in zip(first, size, strict=True)), indexing="ij")
-    height_m, there = elevation.heights_at(0, row, col)
+    height_m, valid = elevation.heights_at(0, row, col)
     unit_m = 1.0 if elevation.crs.is_geographic else elevation.crs.axis_info[0].unit_conversion_factor
     if elevation.vertical.unit_from is None:  # where nothing is said, heights are in the unit of the map: feet in feet
         height_m = height_m * np.float32(unit_m)
     name = f"{path.parent.name}/{path.stem}"
     cell_m = _cell_m(elevation, first[0] + size[0] / 2, first[1] + size[1] / 2, unit_m)
     elevation.close()
-    return Raster(name, height_m, there, cell_m)
+    return Raster(name, height_m, valid, cell_m)
 
 
 def _cell_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tuple[float, float]:

@@ -115,7 +115,7 @@ def dark(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
     out = np.zeros((view.rows, view.cols), bool)
     for part, row, col in blocks_of(view):
         buffer = geometry_buffer(scene, part)
-        shadow = buffer.there & ~lit_mask(buffer, scene, SUN, ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS))
+        shadow = buffer.valid & ~lit_mask(buffer, scene, SUN, ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS))
         top, left = max(row, 0), max(col, 0)
         bottom, right = min(row + part.rows, view.rows), min(col + part.cols, view.cols)
         out[top:bottom, left:right] = shadow[top - row : bottom - row, left - col : right - col]

@@ -135,7 +135,7 @@ void main() {}
 """
 
 
-class Drawn(NamedTuple):
+class TaskResult(NamedTuple):
     """The arrays of a program: what is opaque, and the trees, if there are any."""
 
     opaque: moderngl.VertexArray
@@ -193,7 +193,7 @@ class Yardstick:
         gl.ctx.enable_only(moderngl.NOTHING)
         return gl.read(self._target, 0, "f1", 4)
 
-    def _drawn(self, fragment: str) -> Drawn:
+    def _drawn(self, fragment: str) -> TaskResult:
         gl, arrays = device(), []
         for kind in ("OPAQUE", "TREES"):
             define = f"#version 430\n#define {kind}"
@@ -207,10 +207,10 @@ class Yardstick:
             used, layout = _used(program, names, layout)
             index = self._indices if kind == "OPAQUE" else None
             arrays.append(gl.ctx.vertex_array(program, [(buffer, layout, *used)], index_buffer=index))
-        return Drawn(arrays[0], arrays[1] if len(arrays) > 1 else None)
+        return TaskResult(arrays[0], arrays[1] if len(arrays) > 1 else None)
 
     def _render(
-        self, drawn: Drawn, clip_from_frame: np.ndarray, map_from_frame: np.ndarray, towards: np.ndarray, uniforms: dict
+        self, drawn: TaskResult, clip_from_frame: np.ndarray, map_from_frame: np.ndarray, towards: np.ndarray, uniforms: dict
     ) -> None:
         gl = device()
         across = np.array([-towards[1], towards[0]]) / max(float(np.hypot(*towards)), 1e-9)

@@ -96,7 +96,7 @@ def visibility_of(scene: Scene, view: MapView, pixel_sampling: PixelSampling, al
     asked = {} if algorithm == "auto" else {"algorithm": algorithm}
     plan = make_plan(describe(scene, view, pixel_sampling=pixel_sampling), scene.loaded.level, asked)
     frame = render_frame(scene, view, plan, pixel_sampling=pixel_sampling)
-    return frame.visibility[frame.there]
+    return frame.visibility[frame.valid]
 
 
 def shares(scene: Scene, algorithm: str) -> None:

@@ -15,9 +15,9 @@ with skugga.open_level("jacksboro") as level:
         if not day.sunlit:
             print(f"{lon:8.4f} {lat:.4f} {at.elevation_m:5.0f} m   {day.remark}")
             continue
-        by = day.sunlit[0].after
-        what = "the level horizon" if by is None else f"{by.kind}, {by.distance_m / 1000.0:.1f} km away"
+        occluder = day.sunlit[0].after
+        occluder_text = "the level horizon" if occluder is None else f"{occluder.kind}, {occluder.distance_m / 1000.0:.1f} km away"
         print(
             f"{lon:8.4f} {lat:.4f} {at.elevation_m:5.0f} m   {day.first_sun:%H:%M}   {day.last_sun:%H:%M}"
-            f"   {day.direct_h:4.1f} of {day.daylight_h:.1f} h   {what}"
+            f"   {day.direct_h:4.1f} of {day.daylight_h:.1f} h   {occluder_text}"
         )

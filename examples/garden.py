@@ -19,5 +19,8 @@ hours = {
     name: skugga.sun_hours(heights, CELL_M, "2024-03-21", LAT_DEG)[garden]
     for name, heights in (("before", before), ("after", after))
 }
-for name, of_cells in hours.items():
-    print(f"{name:6}  mean {of_cells.mean():5.2f} h, least {of_cells.min():5.2f} h, under 4 h: {(of_cells < 4.0).mean():4.0%}")
+for name, garden_hours in hours.items():
+    print(
+        f"{name:6}  mean {garden_hours.mean():5.2f} h, least {garden_hours.min():5.2f} h, under 4 h: "
+        f"{(garden_hours < 4.0).mean():4.0%}"
+    )

@@ -25,5 +25,5 @@ assert isinstance(dem, xarray.DataArray)
 hours = dem.skugga.sun_hours("2024-12-21", step_min=10.0)  # nothing is computed yet
 hours.rio.to_raster("hours.tif")
 
-with rasterio.open("hours.tif") as found:
-    print(f"hours.tif: {found.width} x {found.height} cells, {found.crs}, mean {np.nanmean(found.read(1)):.2f} h")
+with rasterio.open("hours.tif") as dataset:
+    print(f"hours.tif: {dataset.width} x {dataset.height} cells, {dataset.crs}, mean {np.nanmean(dataset.read(1)):.2f} h")

@@ -11,7 +11,7 @@ import skugga
 
 LON, LAT = -84.1550, 36.4050  # under a ridge of the Jacksboro fault, Tennessee
 TURBIDITY = 3.0  # Linke's, of clear air inland
-TILT_DEG, TOWARDS_DEG = 35.0, 180.0
+TILT_DEG, PANEL_AZIMUTH_DEG = 35.0, 180.0
 
 with skugga.open_level("jacksboro") as level:
     horizon = level.horizon(LON, LAT, height=6.0)
@@ -23,11 +23,11 @@ sun = pvlib.solarposition.get_solarposition(times, LAT, LON)
 sun = sun[sun.apparent_elevation > 0.0]
 air_mass = pvlib.atmosphere.get_absolute_airmass(pvlib.atmosphere.get_relative_airmass(sun.apparent_zenith))
 dni = pvlib.clearsky.ineichen(sun.apparent_zenith, air_mass, TURBIDITY)["dni"]
-beam = dni * np.maximum(pvlib.irradiance.aoi_projection(TILT_DEG, TOWARDS_DEG, sun.apparent_zenith, sun.azimuth), 0.0)
+beam = dni * np.maximum(pvlib.irradiance.aoi_projection(TILT_DEG, PANEL_AZIMUTH_DEG, sun.apparent_zenith, sun.azimuth), 0.0)
 
-over = np.interp(sun.azimuth, profile.index, profile.to_numpy(), period=360.0)
-seen = sun.apparent_elevation > over
+horizon_deg = np.interp(sun.azimuth, profile.index, profile.to_numpy(), period=360.0)
+is_visible = sun.apparent_elevation > horizon_deg
 kwh = 10.0 / 60.0 / 1000.0
 for month, part in beam.groupby(beam.index.month):
-    lost = 1.0 - part[seen[part.index]].sum() / part.sum()
+    lost = 1.0 - part[is_visible[part.index]].sum() / part.sum()
     print(f"{pd.Timestamp(2024, month, 1):%b}  {part.sum() * kwh:6.1f} kWh/m2, {lost:5.1%} of it behind the horizon")

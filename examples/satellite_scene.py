@@ -24,5 +24,5 @@ band = 0.25 * (0.2 + 0.8 * cos_i) + np.random.default_rng(1).normal(0.0, 0.004, 
 slope, offset = np.polyfit(cos_i[lit], band[lit], 1)
 c = offset / slope
 flat = band * (np.cos(zenith) + c) / (cos_i + c)
-for name, of_band in (("as seen", band), ("corrected", flat)):
-    print(f"{name:9}  correlation with cos i: {np.corrcoef(of_band[lit], cos_i[lit])[0, 1]:+.2f}")
+for name, band_values in (("as seen", band), ("corrected", flat)):
+    print(f"{name:9}  correlation with cos i: {np.corrcoef(band_values[lit], cos_i[lit])[0, 1]:+.2f}")

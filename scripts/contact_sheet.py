@@ -1,6 +1,6 @@
 """Render every view of every bundled level onto one sheet of labelled pictures.
 
-Run it from anywhere: ``python scripts/contact_sheet.py -o docs/images/scenes.webp``.
+Run it from anywhere: ``python scripts/contact_sheet.py -o docs/images/scenes.encode_webp``.
 """
 
 from __future__ import annotations
@@ -33,35 +33,35 @@ QUALITIES = range(85, 9, -5)
 
 
 @dataclass(frozen=True)
-class Labelled:
+class LabelledPicture:
     """A picture and the label below it."""
 
     picture: Image.Image
     label: str
 
 
-def pictures(levels: Sequence[Path], width: int) -> Iterator[Labelled]:
+def pictures(levels: Sequence[Path], width: int) -> Iterator[LabelledPicture]:
     """Yield every view of some levels. Levels with the most views come first, so that rows of four hold one level each."""
     loaded = sorted((load_level(path) for path in levels), key=lambda level: -len(level.level.views))
     for scene in map(build_scene, loaded):
         for name in scene.loaded.level.views:
             label = f"{scene.loaded.name}: {name}"
             print(label, file=sys.stderr)
-            yield Labelled(rendered(scene, name, width), label)
+            yield LabelledPicture(render_view(scene, name, width), label)
 
 
-def rendered(scene: Scene, name: str, width: int) -> Image.Image:
+def render_view(scene: Scene, name: str, width: int) -> Image.Image:
     """Return a view of a scene at its own aspect ratio, at most ``width`` pixels wide and ``width / ASPECT`` high."""
-    own = scene.view(name)
-    share = min(width / own.cols, width / ASPECT / own.rows)
-    size = max(round(own.cols * share), 1), max(round(own.rows * share), 1)
+    native_view = scene.view(name)
+    scale = min(width / native_view.cols, width / ASPECT / native_view.rows)
+    size = max(round(native_view.cols * scale), 1), max(round(native_view.rows * scale), 1)
     view = scene.view(name, size=size)
     frame = render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level, {}))
     picture = Image.fromarray(product_of_frame(scene, frame, "color")).convert("RGBA")
     return Image.alpha_composite(Image.new("RGBA", picture.size, (*PAPER, 255)), picture).convert("RGB")
 
 
-def sheet(entries: Sequence[Labelled], columns: int, width: int) -> Image.Image:
+def make_sheet(entries: Sequence[LabelledPicture], columns: int, width: int) -> Image.Image:
     """Return the sheet with ``columns`` pictures a row, each ``width`` pixels wide with its label below."""
     height = round(width / ASPECT)
     step_x, step_y = width + GAP_PX, height + LABEL_PX + GAP_PX
@@ -75,12 +75,12 @@ def sheet(entries: Sequence[Labelled], columns: int, width: int) -> Image.Image:
     return page
 
 
-def webp(page: Image.Image, most_bytes: int) -> bytes:
+def encode_webp(page: Image.Image, max_bytes: int) -> bytes:
     """Return the page as WebP at the best quality that fits into a size; at the lowest quality if none does."""
     for quality in QUALITIES:
         buffer = BytesIO()
         page.save(buffer, "WEBP", quality=quality, method=6)
-        if buffer.tell() <= most_bytes:
+        if buffer.tell() <= max_bytes:
             break
     return buffer.getvalue()
 
@@ -92,12 +92,12 @@ def main() -> int:
     parser.add_argument("--columns", type=int, default=4)
     parser.add_argument("--width", type=int, default=480, help="pixels of a picture")
     parser.add_argument("--most", type=int, default=600, help="upper bound of the file's size, kilobytes")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     try:
-        entries = list(pictures(given.levels or bundled_levels(), given.width))
+        entries = list(pictures(arguments.levels or bundled_levels(), arguments.width))
     except SkuggaError as error:
         parser.exit(1, f"contact_sheet: {error}\n")
-    given.output.write_bytes(webp(sheet(entries, given.columns, given.width), given.most * 1000))
+    arguments.output.write_bytes(encode_webp(make_sheet(entries, arguments.columns, arguments.width), arguments.most * 1000))
     return 0
 
 

@@ -170,7 +170,7 @@ def points(rasters: Sequence[Path], folder: Path) -> None:
         scene.close()
 
 
-MAKERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
+PRODUCERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
     MAPS: maps, MAPS_OF_CASTERS: maps_of_casters, PICTURES: pictures, MASKS: masks, SUN_HOURS: sun_hours, POINTS: points,
     VIEWS: views,
 }  # fmt: skip
@@ -195,7 +195,7 @@ def record(product: str) -> list[tuple[str, Any]]:
     recorders.append(note)
     compile_lazily()
     with tempfile.TemporaryDirectory() as folder:
-        MAKERS[product](write_rasters(Path(folder)), Path(folder))
+        PRODUCERS[product](write_rasters(Path(folder)), Path(folder))
     return found
 
 

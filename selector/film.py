@@ -20,7 +20,7 @@ from functools import partial
 
 import numpy as np
 
-from skugga.selector.film_request import MOST_FRAMES, FilmRequest
+from skugga.selector.film_request import MAX_FRAMES, FilmRequest
 from skugga.selector.formatting import format_list
 from skugga.selector.replanning import PlanTransition, Replanner, casting, choices_from_plan, mix_pictures
 from skugga.shadows.draw import draw, heights_suffice
@@ -122,17 +122,17 @@ class FilmFrame:
     switch: PlanSwitch | None = None
 
 
-def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FRAMES, only: int | None = None) -> list[FrameMoment]:
+def frame_moments(scene: Scene, request: FilmRequest, max_frames: int = MAX_FRAMES, only: int | None = None) -> list[FrameMoment]:
     """Return the times and views of all frames of a film, checked before any frame is drawn.
 
     ``only`` limits the result to the frame with this index.
 
-    Raises ``InputError`` for more than ``most_frames`` frames. It also raises one that names the frame if the camera leaves the
+    Raises ``InputError`` for more than ``max_frames`` frames. It also raises one that names the frame if the camera leaves the
     data or goes under the ground.
     """
     span = request.span
-    if not 1 <= span.frames <= most_frames:
-        raise InputError("frames", span.frames, f"1 to {most_frames} frames")
+    if not 1 <= span.frames <= max_frames:
+        raise InputError("frames", span.frames, f"1 to {max_frames} frames")
     if span.start is not None:
         scene.with_sun(SunSpec(time=span.start))  # raises an error in a flat world, which has no dates
     first_second = scene.seconds if span.first_second is None else span.first_second

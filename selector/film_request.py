@@ -9,7 +9,7 @@ from typing import Any
 
 from skugga.terrain.level.camera_file import CameraPathSpec
 
-MOST_FRAMES = 10_000
+MAX_FRAMES = 10_000
 """Frames of a film, at most: almost seven minutes at 25 frames a second."""
 
 ALONG_PATH = "path"

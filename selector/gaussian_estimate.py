@@ -21,12 +21,12 @@ from pydantic import BaseModel, ConfigDict, Field
 LOGISTIC_SD = pi / sqrt(3.0)
 """Standard deviation of a logistic distribution with scale 1."""
 
-MOST_SURPRISE = 3.0
+MAX_SURPRISE = 3.0
 """Residual in standard deviations, at most, that updates other candidates: a larger one points to an error in the candidate's own
 model.
 """
 
-MOST_EXPONENT = 50.0
+MAX_EXPONENT = 50.0
 """Larger exponents give a probability of 0 or 1."""
 
 
@@ -84,7 +84,7 @@ class GaussianEstimate:
         if total <= 0.0:
             return self
         gain, residual = column / total, value_log - self.mean[which]
-        clipped_residual = float(np.clip(residual, -MOST_SURPRISE * np.sqrt(total), MOST_SURPRISE * np.sqrt(total)))
+        clipped_residual = float(np.clip(residual, -MAX_SURPRISE * np.sqrt(total), MAX_SURPRISE * np.sqrt(total)))
         mean = self.mean + gain * clipped_residual
         mean[which] = self.mean[which] + gain[which] * residual
         return GaussianEstimate(mean, self.covariance - np.outer(gain, column))
@@ -102,4 +102,4 @@ def logistic_probability_over(off: float, scale: float) -> float:
     """Return the probability, in [0, 1], that a logistic variable exceeds a limit. Its mean lies ``off`` above the limit."""
     if scale <= 0.0:
         return float(off > 0.0)
-    return 1.0 / (1.0 + exp(-max(min(off / scale, MOST_EXPONENT), -MOST_EXPONENT)))
+    return 1.0 / (1.0 + exp(-max(min(off / scale, MAX_EXPONENT), -MAX_EXPONENT)))

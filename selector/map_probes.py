@@ -13,7 +13,7 @@ from skugga.selector.observation import Observation
 PROBE_SETTINGS = {"max_error", "max_ms", "algorithm"}
 """Shadow settings that a request may change and still use probes. Other settings change the picture."""
 
-LEAST_SUN, MOST_SUN = -5, 2
+MIN_SUN, MAX_SUN = -5, 2
 """Classes of suns from about 2 to 70 degrees. Lower and higher suns are assigned to the nearest class."""
 
 BLOCK_ERROR_SD, BLOCK_TIME_SD = 0.6, 0.3
@@ -50,7 +50,7 @@ def map_class(pixel_m: float, sun_altitude_deg: float | None) -> MapClass | None
     if sun_altitude_deg is None or sun_altitude_deg <= 0.0:
         return None
     steepness = log2(tan(radians(min(sun_altitude_deg, 89.0))))
-    return MapClass(round(log2(pixel_m)), min(max(round(steepness), LEAST_SUN), MOST_SUN))
+    return MapClass(round(log2(pixel_m)), min(max(round(steepness), MIN_SUN), MAX_SUN))
 
 
 class ProbedClass(BaseModel):

@@ -28,11 +28,11 @@ from skugga.selector.planner.planner import Planner
 from skugga.selector.portfolio import portfolio
 from skugga.selector.ranking import CandidateFigures
 from skugga.shadows.plan import Step
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind
 
-LEAST_MS = 1e-6
+MIN_MS = 1e-6
 """Times are compared by their logarithms, from this one on."""
 
 
@@ -114,7 +114,7 @@ class LightOptions:
                 shared.interior,
             ),
             GaussianEstimate.prior(
-                [log(max(each.ms, LEAST_MS)) for each in options], [model.time_spread] * len(options), families, shared.time
+                [log(max(each.ms, MIN_MS)) for each in options], [model.time_spread] * len(options), families, shared.time
             ),
         )
 
@@ -129,7 +129,7 @@ class LightOptions:
                     out,
                     error=out.error.after_observation(which, log_error(observation.error), observation.error_noise),
                     interior=out.interior.after_observation(which, log_interior(observation.interior), observation.interior_noise),
-                    time=out.time.after_observation(which, log(max(observation.ms, LEAST_MS)), observation.ms_noise),
+                    time=out.time.after_observation(which, log(max(observation.ms, MIN_MS)), observation.ms_noise),
                     seen={**out.seen, which: observation},
                 )
         return out
@@ -149,10 +149,10 @@ class LightOptions:
     def miss_chance(self, which: int, max_error: float) -> float:
         """Return the probability, in [0, 1], that an option misses an error limit.
 
-        The limits are ``max_error`` for the error and ``MOST_INTERIOR`` for the interior error.
+        The limits are ``max_error`` for the error and ``MAX_INTERIOR`` for the interior error.
         """
         error = self.error.probability_over(which, log_error(max_error))
-        inside = self.interior.probability_over(which, log_interior(MOST_INTERIOR))
+        inside = self.interior.probability_over(which, log_interior(MAX_INTERIOR))
         return max(error, inside)  # interior errors are errors, too
 
     def forecast(self, which: int, max_error: float) -> Forecast:

@@ -204,9 +204,15 @@ def _with_reasons(options: PlanOptions, light: str, which: int, verdict: Ranking
         if fastest_other is None:
             why += f"no other choice is expected to stay within {_limit_text(max_error)}"
         elif (ms := light_options.figures(fastest_other).ms) >= figures.ms:
-            why += f"the fastest other choice within {_limit_text(max_error)} is {light_options.options[fastest_other].choice.name}, {format_duration(ms)}"
+            why += (
+                f"the fastest other choice within {_limit_text(max_error)} is "
+                f"{light_options.options[fastest_other].choice.name}, {format_duration(ms)}"
+            )
         else:
-            why += f"{light_options.options[fastest_other].choice.name} would take {format_duration(ms)} {_chance_text(light_options, fastest_other, max_error)}"
+            why += (
+                f"{light_options.options[fastest_other].choice.name} would take {format_duration(ms)} "
+                f"{_chance_text(light_options, fastest_other, max_error)}"
+            )
     sizes = f"chosen for the target ({settings})"
     kinds = options.planner.casting(light)
     return replace(winner.choice, why={**dict.fromkeys(kinds, why), **dict.fromkeys(winner.choice.settings, sizes)})
@@ -214,7 +220,10 @@ def _with_reasons(options: PlanOptions, light: str, which: int, verdict: Ranking
 
 def _chance_text(light_options: LightOptions, which: int, max_error: float) -> str:
     chance = light_options.miss_chance(which, max_error)
-    return f"with {'less than a 1 %' if chance < 0.01 else f'a {format_percent(chance)}'} chance of an error over {_limit_text(max_error)}"
+    return (
+        f"with {'less than a 1 %' if chance < 0.01 else f'a {format_percent(chance)}'} chance of an error "
+        f"over {_limit_text(max_error)}"
+    )
 
 
 def _limit_text(max_error: float) -> str:
@@ -235,7 +244,8 @@ def _rejection_reasons(options: PlanOptions, winners: Mapping[str, int]) -> dict
             basis = options.basis(light, nearest)
             if verdict.met:
                 reasons[name] = (
-                    f"{basis}: {format_duration(verdict.winner.ms)} with {verdict.winner.name}, {_chance_text(light_options, nearest, max_error)}; "
+                    f"{basis}: {format_duration(verdict.winner.ms)} with {verdict.winner.name}, "
+                    f"{_chance_text(light_options, nearest, max_error)}; "
                     f"the choice takes {format_duration(light_options.figures(winners[light]).ms)}"
                 )
             else:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 
 TIME_TIE_RATIO = 1.05
 """Times within this ratio count as equal. The more accurate candidate then wins."""
@@ -72,7 +72,7 @@ def best_candidate(
     if not capable:
         raise ValueError("no candidates. Pass at least one.")
     in_time = [figures for figures in capable if max_ms is None or figures.ms <= max_ms]
-    accurate = [figures for figures in in_time if figures.error <= max_error and figures.interior <= MOST_INTERIOR]
+    accurate = [figures for figures in in_time if figures.error <= max_error and figures.interior <= MAX_INTERIOR]
     if accurate:
         min_ms = min(figures.ms for figures in accurate)
         return RankingResult(
@@ -88,19 +88,19 @@ def best_candidate(
 def relative_overshoot(figures: CandidateFigures, max_error: float, max_ms: float | None = None) -> float:
     """Return the largest relative overshoot of error, interior error and time over their limits. 0 means that the target is met.
 
-    The overshoot of the error is divided by ``MOST_INTERIOR`` at least, so that it is finite for a target of 0.
+    The overshoot of the error is divided by ``MAX_INTERIOR`` at least, so that it is finite for a target of 0.
     """
     return max(
         0.0,
-        (figures.error - max_error) / max(max_error, MOST_INTERIOR),
-        figures.interior / MOST_INTERIOR - 1.0,
+        (figures.error - max_error) / max(max_error, MAX_INTERIOR),
+        figures.interior / MAX_INTERIOR - 1.0,
         0.0 if max_ms is None else figures.ms / max_ms - 1.0,
     )
 
 
 def _interior_rank(figures: CandidateFigures, max_error: float) -> float:
     """Return 0 without an interior failure, else the relative overshoot."""
-    return 0.0 if figures.interior <= MOST_INTERIOR else relative_overshoot(figures, max_error)
+    return 0.0 if figures.interior <= MAX_INTERIOR else relative_overshoot(figures, max_error)
 
 
 def _accuracy_key(figures: CandidateFigures) -> tuple[float, float, float, str]:
@@ -114,9 +114,9 @@ def _missed_by(figures: CandidateFigures, max_error: float, max_ms: float | None
             f"an error of {format_percent(figures.error)}, {format_percent(figures.error - max_error)} more "
             f"than {format_percent(max_error)}"
         )
-    if figures.interior > MOST_INTERIOR:
-        more = format_percent(figures.interior - MOST_INTERIOR)
-        over.append(f"an interior error of {format_percent(figures.interior)}, {more} more than {format_percent(MOST_INTERIOR)}")
+    if figures.interior > MAX_INTERIOR:
+        more = format_percent(figures.interior - MAX_INTERIOR)
+        over.append(f"an interior error of {format_percent(figures.interior)}, {more} more than {format_percent(MAX_INTERIOR)}")
     if max_ms is not None and figures.ms > max_ms:
         over.append(f"{format_duration(figures.ms)}, {format_duration(figures.ms - max_ms)} more than {format_duration(max_ms)}")
     return "; ".join(over)

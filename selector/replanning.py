@@ -12,7 +12,7 @@ Algorithms, map sizes and numbers of cascades are kept while they serve. A new c
 
 Two plans with an error of a few per cent of the cast shadow differ in up to some per cent of the pixels. Most of these lie on
 edges, where errors do not count. So the previous plan is drawn in parallel, for as many frames as are needed to keep each frame's
-change below ``MOST_CHANGED``, and ``mix_pictures`` mixes the two pictures. The expected number of frames is far too low;
+change below ``MAX_CHANGED``, and ``mix_pictures`` mixes the two pictures. The expected number of frames is far too low;
 ``Replanner.share`` derives the real one from the two pictures.
 """
 
@@ -32,7 +32,7 @@ from skugga.selector.portfolio import tuned_settings
 from skugga.selector.select import select
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
@@ -53,7 +53,7 @@ PATIENCE = 5
 IMMEDIATE_SWITCH_OVERSHOOT = 0.5
 """Overshoot, as a share of the target, that leads to an immediate switch."""
 
-MOST_CHANGED = 0.002
+MAX_CHANGED = 0.002
 """Share of the pixels, at most, that a switch changes from one frame to the next."""
 
 MIN_TRANSITION_FRAMES, MAX_TRANSITION_FRAMES = 2, 30
@@ -159,7 +159,7 @@ class Replanner:
         """Return the share of the pixels that show the new plan in this frame of a switch.
 
         ``before`` and ``after`` are the visibilities (``Frame.visibilities``) of the pictures by the previous and the new plan.
-        With this share no frame changes more than ``MOST_CHANGED`` of the surface's pixels. The switch ends after a share of 1.
+        With this share no frame changes more than ``MAX_CHANGED`` of the surface's pixels. The switch ends after a share of 1.
         Call this once a frame. Returns 1 without a switch.
         """
         state = self._state
@@ -281,21 +281,21 @@ def expected_transition_frames(kept: Plan, fresh: Plan) -> int:
     number is unknown.
     """
     predicted = [plan.predicted.wrong if plan.predicted else plan.target.max_error for plan in (kept, fresh)]
-    return int(np.clip(np.ceil(sum(predicted) / MOST_CHANGED), 1, MAX_TRANSITION_FRAMES))
+    return int(np.clip(np.ceil(sum(predicted) / MAX_CHANGED), 1, MAX_TRANSITION_FRAMES))
 
 
 def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], last_share: float) -> float:
     """Return the share of the pixels that show ``after``, given ``last_share`` in the frame before.
 
     ``before`` and ``after`` are the visibilities (rows, cols) of each light in two pictures of a view, NaN off the surface. The
-    result is the largest share with which at most ``MOST_CHANGED`` of the surface's pixels, but at least one, change between shadow
+    result is the largest share with which at most ``MAX_CHANGED`` of the surface's pixels, but at least one, change between shadow
     and light.
     """
     differ = np.logical_or.reduce([(before[light] < 0.5) != (after[light] < 0.5) for light in after])
-    there = np.logical_or.reduce([~np.isnan(visibility) for visibility in after.values()])
+    valid = np.logical_or.reduce([~np.isnan(visibility) for visibility in after.values()])
     order = _pixel_order(*differ.shape)
     waiting = np.sort(order[differ & (order >= last_share)])
-    most = max(int(MOST_CHANGED * there.sum()), 1)
+    most = max(int(MAX_CHANGED * valid.sum()), 1)
     return float(waiting[most]) if most < len(waiting) else 1.0
 
 
@@ -383,6 +383,6 @@ def _overshoot(plan: Plan) -> float:
     if plan.predicted is None:
         return 0.0
     target = plan.target
-    over = [(plan.predicted.wrong_cast - target.max_error) / max(target.max_error, MOST_INTERIOR)]
+    over = [(plan.predicted.wrong_cast - target.max_error) / max(target.max_error, MAX_INTERIOR)]
     over += [] if target.max_ms is None else [plan.predicted.ms / target.max_ms - 1.0]
     return max(2.0 * SWITCH_ERROR_GAIN if target.met is False and max(over) <= 0.0 else 0.0, *over)

@@ -45,7 +45,7 @@ FALLBACK_REQUIREMENT: Requirement = "bent rays"
 The requirement depends on the zoom, and a level that requests a sweep has all zooms.
 """
 
-MOST_BEND_PX = 0.25
+MAX_BEND_PX = 0.25
 """Upper bound, in pixels, of the distance between a map and the camera views of its parts, for algorithms that draw in the view."""
 
 BENT_MAP_REASON = "the map bends: at this scale no affine camera fits it to a quarter of a pixel"
@@ -103,7 +103,7 @@ def requirements_of(descriptor: Descriptor, light: LightKind, caster: CasterKind
     """
     level_ground = descriptor.flat_world and descriptor.relief_m <= 0.0
     view: tuple[Requirement, ...] = (
-        (descriptor.view_kind, "bent map") if descriptor.bend_px > MOST_BEND_PX else (descriptor.view_kind,)
+        (descriptor.view_kind, "bent map") if descriptor.bend_px > MAX_BEND_PX else (descriptor.view_kind,)
     )
     rays: tuple[Requirement, ...] = ("bent rays",) if light == "sun" and rays_bend(descriptor) else ()
     extent: tuple[Requirement, ...] = ("area light",) if area else ()

@@ -91,7 +91,7 @@ def mean_over_light(
     faces away from a point of the light gets 0 from that point. Layers are kept for the first point alone.
     """
     passes = log.named(light, kinds, ("",))[0]
-    visibility, of_point = np.zeros(buffer.there.shape, np.float32), settings.model_copy(update=changes)
+    visibility, of_point = np.zeros(buffer.valid.shape, np.float32), settings.model_copy(update=changes)
     for moved in point_light_scenes(scene, light, settings.light_points):
         seen = fill(buffer, moved, light, kinds, casters, of_point, log)
         seen[attached(buffer, moved, light)] = 0.0

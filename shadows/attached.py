@@ -24,14 +24,14 @@ def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarr
     leaves = buffer.kind == FOREST
     if light == SUN:
         if not scene.sun_is_up or scene.sun is None:
-            return np.ones(buffer.there.shape, bool)
+            return np.ones(buffer.valid.shape, bool)
     source = scene.light_position(light, buffer.frame)
     normal = facing_normals(buffer, source).normal_frame
     if light == SUN:
         return faces_away(normal, leaves, np.array(source[:3]))
     lamp = scene.lamps[light]
     position, axis, _ = lamp.in_frame(buffer.frame)
-    cosine, out = float(np.cos(np.radians(lamp.cutoff_deg))), np.ones(buffer.there.shape, np.bool_)
+    cosine, out = float(np.cos(np.radians(lamp.cutoff_deg))), np.ones(buffer.valid.shape, np.bool_)
     run_in_chunks(len(out), _beside_lamp, buffer.position_frame_m, normal, leaves, position, axis, cosine, out)
     return out
 

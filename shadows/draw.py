@@ -81,7 +81,7 @@ def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, n
 def picture_of(frame: Frame, needs: Needs) -> Picture:
     """Return the needed arrays of a frame."""
     return Picture(
-        frame.there,
+        frame.valid,
         frame.passes,
         frame.color if "color" in needs else None,
         frame.opacity if "opacity" in needs else None,

@@ -15,14 +15,14 @@ from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, Pa
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import REFRACTION_PASS, SHADING_PASS
-from skugga.shadows.supersampling import edge_supersampling, heights_say_all, mean_visibilities, supersampling
+from skugga.shadows.supersampling import edge_supersampling, mean_visibilities, needs_heights_only, supersampling
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.reach import NO_CASTERS, find_reach_of_nodes
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.sky_view import apply_sky_view
 from skugga.terrain.gbuffer.bare_ground import BareGround, bare_ground
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
-from skugga.terrain.gbuffer.supersampling import is_bare
+from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer, ground_imagery
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.sky_view_factor import SkyView, sky_view
@@ -46,8 +46,8 @@ Above it no adjacent triangle is assumed to face away.
 def is_shaded_by_heights(scene: Scene, plan: Plan) -> bool:
     """Return whether heights, sun and sky alone determine what a map shows."""
     level = scene.loaded.level
-    plain = is_bare(scene) and level.water is None and ground_imagery(scene) is None and scene.sun is not None
-    return plain and plan.runs <= SUPPORTED_EFFECTS and (heights_say_all(scene, plan) or not plan.casts or not scene.sun_is_up)
+    plain = is_terrain_only(scene) and level.water is None and ground_imagery(scene) is None and scene.sun is not None
+    return plain and plan.runs <= SUPPORTED_EFFECTS and (needs_heights_only(scene, plan) or not plan.casts or not scene.sun_is_up)
 
 
 def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
@@ -57,9 +57,9 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         ground = bare_ground(scene, view, sky) if view.on_nodes else _ground_between_nodes(scene, view, sky)
         if ground is None:
             return None
-        if not ground.there.any():
-            nothing = np.zeros(ground.there.shape, np.uint8)
-            return Picture(ground.there, (), np.zeros((*nothing.shape, 3), np.uint8), nothing, reach=NO_CASTERS.reach)
+        if not ground.valid.any():
+            nothing = np.zeros(ground.valid.shape, np.uint8)
+            return Picture(ground.valid, (), np.zeros((*nothing.shape, 3), np.uint8), nothing, reach=NO_CASTERS.reach)
         reach = find_reach_of_nodes(scene, bare_nodes(scene, _nodes_under(ground.window_view), 1)) if "reach" in needs else None
     lit = _lit_shares(scene, ground, plan, log)
     if lit is None:
@@ -69,8 +69,8 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
             pass  # the ground already includes its sky view
     with log.run(SHADING_PASS):
         color = shaded_ground(ground, scene, lit) if "color" in needs else None
-        opacity = np.rint(255.0 * (1.0 - np.where(ground.there, lit, np.float32(1.0)))).astype(np.uint8)
-    return Picture(ground.there, (), color, opacity if "opacity" in needs else None, reach=reach)
+        opacity = np.rint(255.0 * (1.0 - np.where(ground.valid, lit, np.float32(1.0)))).astype(np.uint8)
+    return Picture(ground.valid, (), color, opacity if "opacity" in needs else None, reach=reach)
 
 
 def _cache_key(scene: Scene, view: MapView, sky: SkyView | None) -> tuple[object, ...]:
@@ -91,7 +91,7 @@ def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> B
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
     whole = slice(0, view.rows), slice(0, view.cols)
     return BareGround(
-        view, buffer.frame, buffer.there, whole, buffer.height_m, buffer.shading_normal_frame, up.astype(np.float32), share
+        view, buffer.frame, buffer.valid, whole, buffer.height_m, buffer.shading_normal_frame, up.astype(np.float32), share
     )
 
 
@@ -111,17 +111,17 @@ def _faces_sun(ground: BareGround, scene: Scene) -> bool:
     """Return whether all ground faces the sun by a margin that holds for its triangles: then none is in attached shadow."""
     assert scene.sun is not None
     facing = ground.normal_frame @ scene.sun.in_frame(ground.frame).astype(np.float32)
-    return float(facing[ground.there[ground.window]].min(initial=1.0)) > MIN_SUN_COSINE
+    return float(facing[ground.valid[ground.window]].min(initial=1.0)) > MIN_SUN_COSINE
 
 
 def _lit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> np.ndarray | None:
     """Return the lit share (rows, cols) float32 of each pixel; ``None`` where heights do not suffice."""
     if not scene.sun_is_up:
         with log.run(ATTACHED_PASS):
-            return np.zeros(ground.there.shape, np.float32)
+            return np.zeros(ground.valid.shape, np.float32)
     if not plan.casts:
         with log.run(ATTACHED_PASS):
-            return np.ones(ground.there.shape, np.float32) if _faces_sun(ground, scene) else None
+            return np.ones(ground.valid.shape, np.float32) if _faces_sun(ground, scene) else None
     pixels = supersampling(scene, ground.view, plan) or edge_supersampling(scene, ground.view, plan)
     if pixels is None or not pixels.heights_only:
         return None

@@ -28,7 +28,7 @@ from skugga.terrain.casters.reach import NO_CASTERS, Casters, find_casters
 from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.antialias import SAMPLES_PER_SIDE, MultisampledBuffer
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
-from skugga.terrain.gbuffer.supersampling import is_bare
+from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from skugga.terrain.level.level import SUN
@@ -44,7 +44,7 @@ PART_PX = BLOCK_PX // SAMPLES_PER_SIDE
 
 SAMPLES_PER_PIXEL = SAMPLES_PER_SIDE * SAMPLES_PER_SIDE
 
-SHADING_ARRAYS = ("there", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
+SHADING_ARRAYS = ("valid", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
 """Arrays of a geometry buffer that shading reads."""
 
 
@@ -86,7 +86,7 @@ def _edge_sampled(
         return MultisampledBuffer(own, view.rows), visibilities
     row, col = np.concatenate(pixels).T
     arrays = {name: np.concatenate([each[name] for each in samples]) for name in samples[0]}
-    missing = ~arrays["there"]  # beyond the ground's rim the pixel's own point replaces the sample
+    missing = ~arrays["valid"]  # beyond the ground's rim the pixel's own point replaces the sample
     differ = arrays["kind"] != own.kind[row, col][:, None]
     for light, visibility in visibilities.items():
         differ |= arrays[light] != visibility[row, col][:, None]
@@ -108,9 +108,9 @@ def _is_evenly_lit(scene: Scene, plan: Plan, own: GeometryBuffer, visibilities: 
 
     That is where the block has bare ground, nothing casts, and all ground faces the sun.
     """
-    if plan.casts or not is_bare(scene) or not scene.sun_is_up:
+    if plan.casts or not is_terrain_only(scene) or not scene.sun_is_up:
         return False
-    return bool((visibilities[SUN][own.there] == 1.0).all()) and own_ground_faces_sun(scene, own)
+    return bool((visibilities[SUN][own.valid] == 1.0).all()) and own_ground_faces_sun(scene, own)
 
 
 def _casters(scene: Scene, finer: GeometryBuffer, beside: bool) -> Casters:
@@ -122,14 +122,14 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
 
     All pixels along the block's sides belong to them.
     """
-    edges = np.zeros(buffer.there.shape, np.bool_)
+    edges = np.zeros(buffer.valid.shape, np.bool_)
     _mark_changes(buffer.kind, 0.0, edges)
     for visibility in visibilities:
-        _mark_changes(np.where(buffer.there, visibility, np.float32(1.0)), EDGE, edges)
+        _mark_changes(np.where(buffer.valid, visibility, np.float32(1.0)), EDGE, edges)
     if visibilities:
         for side in (edges[0], edges[-1], edges[:, 0], edges[:, -1]):
             side[:] = True
-    return edges & buffer.there
+    return edges & buffer.valid
 
 
 def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
@@ -165,7 +165,9 @@ def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) ->
 
 
 def _with_samples(own: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Return a buffer's array with samples (n, ``SAMPLES_PER_PIXEL``, ...) in rows below it. Missing samples take the pixel's own value."""
+    """Return a buffer's array with samples (n, ``SAMPLES_PER_PIXEL``, ...) in rows below it. Missing samples take the pixel's own
+    value.
+    """
     of_pixels = own[row, col][:, None]
     gone = missing.reshape(missing.shape + (1,) * (samples.ndim - 2))
     flat = np.where(gone, of_pixels, samples).reshape(-1, *own.shape[2:])

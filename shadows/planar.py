@@ -103,7 +103,7 @@ def fill(
     """
     passes = log.named(light, kinds, PASSES)
     projected = _projected(buffer, scene, light, kinds)
-    view, ground = buffer.view, buffer.there & (buffer.kind == RELIEF)
+    view, ground = buffer.view, buffer.valid & (buffer.kind == RELIEF)
     stencil = np.zeros(ground.shape, np.uint8)
     stencil[: view.rows] = _stencil(scene.world, buffer.frame, view, ground[: view.rows], projected, passes, log)
     if buffer.sample_pixels is not None:

@@ -98,7 +98,7 @@ class Frame:
     def opacity(self) -> np.ndarray:
         """The opacity (rows, cols) uint8 of the first light's shadow as it is shown; 0 off the surface."""
         shown = next(iter(self.shown_visibilities.values()))
-        return np.rint(255.0 * (1.0 - np.where(self.there, shown, 1.0))).astype(np.uint8)
+        return np.rint(255.0 * (1.0 - np.where(self.valid, shown, 1.0))).astype(np.uint8)
 
     @cached_property
     def position_earth_m(self) -> np.ndarray | None:
@@ -113,14 +113,14 @@ class Frame:
         return executed_effects(self.passes)
 
     @property
-    def there(self) -> np.ndarray:
+    def valid(self) -> np.ndarray:
         """The valid mask: bool (rows, cols), where the view shows a surface."""
         return ~np.isnan(self.height_m)
 
     @property
     def opaque(self) -> np.ndarray:
         """Where the colour is valid, bool (rows, cols): on the surface, and in the sky of a perspective view."""
-        return self.there if isinstance(self.view, MapView) else np.ones(self.there.shape, bool)
+        return self.valid if isinstance(self.view, MapView) else np.ones(self.valid.shape, bool)
 
     def under(self, light: str | None) -> Frame:
         """Return the frame with a light's visibility first (``None`` changes nothing). Raises ``InputError``."""
@@ -199,7 +199,7 @@ def render_frame(
         reach = worse_reach(reach, block.reach)
         frame_window, block_window = windows_of(view, part, row, col)
         if whole is None:  # a single part provides the arrays of the whole view
-            whole = block if len(parts) == 1 and block.there.shape == size else _empty(view, plan, block)
+            whole = block if len(parts) == 1 and block.valid.shape == size else _empty(view, plan, block)
         if whole is not block:
             whole.color[frame_window], whole.height_m[frame_window] = block.color[block_window], block.height_m[block_window]
             for light in plan.lights:
@@ -284,12 +284,12 @@ def render_block(
     _run_parts("color", {"color": linear}, block, plan, log)
     with log.run(SHADING_PASS):
         color = srgb_encoded(picture.averaged(linear))
-        there, missing = own_pixels.there, np.float32(np.nan)
-        visibilities = {light: np.where(there, values[: view.rows], missing) for light, values in visibilities.items()}
+        valid, missing = own_pixels.valid, np.float32(np.nan)
+        visibilities = {light: np.where(valid, values[: view.rows], missing) for light, values in visibilities.items()}
         shown = visibilities
         if isinstance(view, MapView):
             means = {light: picture.averaged(values[..., None])[..., 0] for light, values in seen.items()}
-            shown = {light: np.where(there, values, missing) for light, values in means.items()}
+            shown = {light: np.where(valid, values, missing) for light, values in means.items()}
     position, frame = (None, None) if isinstance(view, MapView) else (own_pixels.position_frame_m, own_pixels.frame)
     return Frame(view, plan, color, visibilities, shown, own_pixels.height_m, position, frame, (), casters.reach)
 
@@ -306,7 +306,7 @@ def _shaded(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:
 
 def _unlit(block: ShadingBlock, stage: Stage) -> np.ndarray:
     """Return the array with which the first effect of a stage starts."""
-    shape = block.buffer.there.shape
+    shape = block.buffer.valid.shape
     if stage == "albedo":
         return albedo_of(block.buffer, block.scene)
     if stage == "sunlight":
@@ -328,7 +328,7 @@ def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBloc
 
 def _put_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
     """Colour the pixels and samples without a surface."""
-    row, col = np.nonzero(~picture.buffer.there)
+    row, col = np.nonzero(~picture.buffer.valid)
     pixel_row, pixel_col = picture.pixels_of(row, col)
     linear[row, col] = sky(scene, view, pixel_row, pixel_col)
 

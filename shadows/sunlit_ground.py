@@ -11,14 +11,14 @@ from skugga.shadows.attached import attached
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog
 from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
-from skugga.shadows.supersampling import Supersampling, heights_say_all, lit_nodes, supersampling
+from skugga.shadows.supersampling import Supersampling, lit_nodes, needs_heights_only, supersampling
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.casters.reach import NO_CASTERS, find_reach_of_nodes
 from skugga.terrain.gbuffer.bare_ground import bare_ground
 from skugga.terrain.gbuffer.bare_nodes import HALO, bare_nodes
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
 from skugga.terrain.gbuffer.ground_normals import ground_normals
-from skugga.terrain.gbuffer.supersampling import is_bare
+from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
@@ -26,9 +26,9 @@ from skugga.terrain.scene import Scene
 
 def is_lit_by_heights(scene: Scene, view: MapView, plan: Plan) -> bool:
     """Return whether the heights of bare ground determine the sun's visibility at a map's own points."""
-    if not (view.on_nodes and is_bare(scene) and scene.sun is not None and plan.lights[0] == SUN):
+    if not (view.on_nodes and is_terrain_only(scene) and scene.sun is not None and plan.lights[0] == SUN):
         return False
-    return not scene.sun_is_up or (heights_say_all(scene, plan) and supersampling(scene, view, plan) is None)
+    return not scene.sun_is_up or (needs_heights_only(scene, plan) and supersampling(scene, view, plan) is None)
 
 
 def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
@@ -37,26 +37,26 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         ground = bare_ground(scene, view, None)
         if ground is None:
             return None
-        visibility = np.where(ground.there, np.float32(0.0), np.float32(np.nan))
-        if not ground.there.any():
-            return Picture(ground.there, (), visibility=visibility, reach=NO_CASTERS.reach)
+        visibility = np.where(ground.valid, np.float32(0.0), np.float32(np.nan))
+        if not ground.valid.any():
+            return Picture(ground.valid, (), visibility=visibility, reach=NO_CASTERS.reach)
         reach = find_reach_of_nodes(scene, bare_nodes(scene, view, 1)) if "reach" in needs else None
     if scene.sun_is_up:
         _, seen = lit_nodes(Supersampling(scene, plan, view.grid, 1, heights_only=True), view, CASTERS_PASS in plan.runs, log)
-        lit = seen[SUN] & ground.there
+        lit = seen[SUN] & ground.valid
         with log.run(ATTACHED_PASS):
             rim = rim_points(scene, view)
             if rim is not None:
-                lit &= ~(rim.there & attached(rim, scene, SUN))
+                lit &= ~(rim.valid & attached(rim, scene, SUN))
         visibility[lit] = 1.0
-    return Picture(ground.there, (), visibility=visibility, reach=reach)
+    return Picture(ground.valid, (), visibility=visibility, reach=reach)
 
 
 @cached("scene", 448 * MIB, key=lambda scene, view: (scene.world, scene.elevation, view), max_entries=1)
 def rim_points(scene: Scene, view: MapView) -> GeometryBuffer | None:
     """Return the points of a map on the rim of its ground, or ``None``. They are cached for many suns in sequence."""
     ground = bare_ground(scene, view, None)
-    rim = np.zeros((view.rows, view.cols), np.bool_) if ground is None else _rim(scene, view) & ground.there
+    rim = np.zeros((view.rows, view.cols), np.bool_) if ground is None else _rim(scene, view) & ground.valid
     if ground is None or not rim.any():
         return None
     return map_geometry(scene.surface(view.grid), view, ground.frame, pixel_mask=rim)
@@ -67,12 +67,12 @@ def _rim(scene: Scene, view: MapView) -> np.ndarray:
 
     Elsewhere the facet on a node's way to the sun shades it if all its facets face away. At the rim this facet may be missing.
     """
-    there = bare_nodes(scene, view, 1).surface.there
-    rows, cols = there.shape
+    valid = bare_nodes(scene, view, 1).surface.valid
+    rows, cols = valid.shape
     inner = np.ones((view.rows, view.cols), np.bool_)
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
-            inner &= there[HALO + down : rows - HALO + down, HALO + right : cols - HALO + right]
+            inner &= valid[HALO + down : rows - HALO + down, HALO + right : cols - HALO + right]
     return ~inner
 
 

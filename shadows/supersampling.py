@@ -25,7 +25,7 @@ from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.supersampling import (
     MAX_PARALLEL_RAYS_M,
     covered_nodes,
-    is_bare,
+    is_terrain_only,
     largest_in_pixels,
     means_in_pixels,
     subdivision_level,
@@ -38,10 +38,10 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
-MOST_BARE_AT_ONCE = 18 * BLOCK_PX**2
+MAX_BARE_AT_ONCE = 18 * BLOCK_PX**2
 """Upper bound of the nodes of bare ground in one part: about half a gigabyte."""
 
-MOST_POINTS_AT_ONCE = 5 * BLOCK_PX**2 // 4
+MAX_POINTS_AT_ONCE = 5 * BLOCK_PX**2 // 4
 """Upper bound of the nodes in one part of which a geometry buffer is made: about those of a block, half a gigabyte."""
 
 Visibilities = dict[str, np.ndarray]
@@ -76,11 +76,11 @@ class Supersampling:
     def max_nodes(self, nodes: MapView) -> tuple[int, int]:
         """Return the upper bounds of the nodes in one part: in all, and along a side."""
         if not self.heights_only:
-            return MOST_POINTS_AT_ONCE, BLOCK_PX * 8
+            return MAX_POINTS_AT_ONCE, BLOCK_PX * 8
         along = BLOCK_PX * 8
         if not self.scene.world.flat:
             along = max(min(along, int(MAX_PARALLEL_RAYS_M / self.scene.surface(nodes.grid).step_m)), BLOCK_PX)
-        return MOST_BARE_AT_ONCE, along
+        return MAX_BARE_AT_ONCE, along
 
 
 def supersampling(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> Supersampling | None:
@@ -94,7 +94,7 @@ def supersampling(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> 
     count = subdivision_level(scene, view)
     if count == 0:
         return None
-    return Supersampling(scene, plan, subpixel_grid(view, count), 2**count, heights_only=heights_say_all(scene, plan))
+    return Supersampling(scene, plan, subpixel_grid(view, count), 2**count, heights_only=needs_heights_only(scene, plan))
 
 
 def edge_supersampling(scene: Scene, view: MapView, plan: Plan) -> Supersampling | None:
@@ -103,15 +103,15 @@ def edge_supersampling(scene: Scene, view: MapView, plan: Plan) -> Supersampling
     Its nodes are half a pixel apart and include the pixels' own points. It is ``None`` where the heights alone do not suffice.
     """
     narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= MAX_PARALLEL_RAYS_M
-    if not (narrow and plan.steps and heights_say_all(scene, plan)):
+    if not (narrow and plan.steps and needs_heights_only(scene, plan)):
         return None
     return Supersampling(scene, plan, view.grid.refined(), 2, heights_only=True)
 
 
-def heights_say_all(scene: Scene, plan: Plan) -> bool:
+def needs_heights_only(scene: Scene, plan: Plan) -> bool:
     """Return whether the steps of a plan need the heights of bare ground alone."""
     fills = (ALGORITHMS[step.algorithm].node_fill(step.settings) for step in plan.steps)
-    return is_bare(scene) and scene.sun_is_up and all(fills)
+    return is_terrain_only(scene) and scene.sun_is_up and all(fills)
 
 
 def mean_visibilities(pixels: Supersampling, own: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
@@ -121,23 +121,23 @@ def mean_visibilities(pixels: Supersampling, own: GeometryBuffer | BareGround, l
     """
     view = own.view
     assert isinstance(view, MapView)
-    visibilities = {light: np.ones(own.there.shape, np.float32) for light in pixels.plan.lights}
-    layers = LayerCollector(own.there.shape)
-    if isinstance(own, GeometryBuffer) and not own.there.any():  # the plan's passes run without any work
+    visibilities = {light: np.ones(own.valid.shape, np.float32) for light in pixels.plan.lights}
+    layers = LayerCollector(own.valid.shape)
+    if isinstance(own, GeometryBuffer) and not own.valid.any():  # the plan's passes run without any work
         return visibilities_at(pixels.scene, pixels.plan, own, find_casters(pixels.scene, own), log)
     for window in _parts(pixels, own):
         part, beside = _part(view, window), needs_outside_casters(pixels.plan, own, window)
         nodes = pixels.nodes(part)
         seen = lit_nodes(pixels, nodes, beside, log) if pixels.heights_only else _lit_points(pixels, nodes, beside, log)
-        there, filled = seen
+        valid, filled = seen
         with log.run(ATTACHED_PASS):
             for light, values in filled.items():
                 if values.dtype == np.bool_ and values.all():
                     continue  # the pixels are initialised with 1
-                means = means_in_pixels(part, nodes, values, there)
+                means = means_in_pixels(part, nodes, values, valid)
                 visibilities[light][window] = np.where(np.isnan(means), np.float32(1.0), means)
         block_layers = {
-            key: [_in_pixels(part, nodes, picture, there) if key[0] in PIXEL_LAYERS else picture for picture in pictures]
+            key: [_in_pixels(part, nodes, picture, valid) if key[0] in PIXEL_LAYERS else picture for picture in pictures]
             for key, pictures in log.take().items()
         }
         layers.add(block_layers, window, (slice(None), slice(None)))
@@ -154,13 +154,13 @@ def _parts(pixels: Supersampling, own: GeometryBuffer | BareGround) -> Iterator[
     """Yield the pixels of a block that show a surface, in rectangles whose nodes are processed at a time."""
     view = own.view
     assert isinstance(view, MapView)
-    rows, cols = np.flatnonzero(own.there.any(axis=1)), np.flatnonzero(own.there.any(axis=0))
+    rows, cols = np.flatnonzero(own.valid.any(axis=1)), np.flatnonzero(own.valid.any(axis=0))
     if not len(rows):
         return
     todo = [(slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1))]
     while todo:
         window = todo.pop()
-        if not own.there[window].any():
+        if not own.valid[window].any():
             continue
         nodes, sides = pixels.nodes(_part(view, window)), [side.stop - side.start for side in window]
         max_nodes, along = pixels.max_nodes(nodes)
@@ -179,7 +179,7 @@ def needs_outside_casters(plan: Plan, own: GeometryBuffer | BareGround, window: 
     The effect ``outside_casters`` always searches them. Without it they are searched only where the block shows more than the part,
     since parts of one block cast on each other.
     """
-    return CASTERS_PASS in plan.runs or bool(own.there[window].sum() < own.there.sum())
+    return CASTERS_PASS in plan.runs or bool(own.valid[window].sum() < own.valid.sum())
 
 
 def lit_nodes(pixels: Supersampling, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
@@ -206,8 +206,8 @@ def _lit_points(pixels: Supersampling, view: MapView, beside: bool, log: PassLog
     with log.run(GEOMETRY_PASS):
         buffer = geometry_buffer(scene, view)
     casters = find_outside_casters(scene, plan, buffer, lambda: find_casters(scene, buffer) if beside else NO_CASTERS, log)
-    return buffer.there, visibilities_at(scene, plan, buffer, casters, log)
+    return buffer.valid, visibilities_at(scene, plan, buffer, casters, log)
 
 
-def _in_pixels(view: MapView, nodes: MapView, picture: np.ndarray, there: np.ndarray) -> np.ndarray:
-    return means_in_pixels(view, nodes, picture, there) if picture.dtype.kind == "f" else largest_in_pixels(view, nodes, picture)
+def _in_pixels(view: MapView, nodes: MapView, picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    return means_in_pixels(view, nodes, picture, valid) if picture.dtype.kind == "f" else largest_in_pixels(view, nodes, picture)

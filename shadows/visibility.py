@@ -32,7 +32,7 @@ def fill_steps(
     algorithms do.
     """
     steps = list(steps)
-    visibility = np.ones(buffer.there.shape, np.float32)
+    visibility = np.ones(buffer.valid.shape, np.float32)
     if steps:
         light = steps[0].light
         receivers = receivers_of(without_hidden_points(buffer, scene, light, effects), scene, light)
@@ -72,18 +72,18 @@ def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effe
     limit_m = hiding_distance_m(scene, buffer.view)
     if np.isinf(limit_m):
         return buffer
-    near = np.empty(buffer.there.shape, np.bool_)
-    run_in_chunks(len(near), _nearer, buffer.there, buffer.position_frame_m, buffer.view.in_frame(buffer.frame)[0], limit_m, near)
-    return buffer if np.array_equal(near, buffer.there) else replace(buffer, there=near)
+    near = np.empty(buffer.valid.shape, np.bool_)
+    run_in_chunks(len(near), _nearer, buffer.valid, buffer.position_frame_m, buffer.view.in_frame(buffer.frame)[0], limit_m, near)
+    return buffer if np.array_equal(near, buffer.valid) else replace(buffer, valid=near)
 
 
 @compiled
-def _nearer(first, last, there, position, eye, limit_m, out):
+def _nearer(first, last, valid, position, eye, limit_m, out):
     for i in range(first, last):
-        for j in range(there.shape[1]):
+        for j in range(valid.shape[1]):
             p = position[i, j]
             x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-            out[i, j] = there[i, j] and np.sqrt(x * x + y * y + z * z) < limit_m
+            out[i, j] = valid[i, j] and np.sqrt(x * x + y * y + z * z) < limit_m
 
 
 def with_apparent_sun(scene: Scene, effects: Collection[str]) -> Scene:

@@ -239,7 +239,8 @@ def cached(
 def register_cache(cache: Any) -> None:
     """Register an object of another class with the caches of this process.
 
-    It needs ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, ``__len__``, ``clear`` and ``evict_owned_by`` as ``Cache`` has them.
+    It needs ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, ``__len__``, ``clear`` and ``evict_owned_by`` as ``Cache`` has
+    them.
     """
     with _lock:
         _caches.add(cache)

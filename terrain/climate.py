@@ -5,7 +5,7 @@ Latitude and height alone decide, so that a place has the same colour in every m
 - **Ice** lies above the snow line. The snow line is at sea level in Antarctica and highest in the dry subtropics.
 - **Vegetation** thins out in the subtropics, where air sinks and dries, and towards the poles, where it is cold.
 
-The model ignores rain from mountains and coasts: Florida is as dry as the Sahara here, up to the share ``MOST_ARID``.
+The model ignores rain from mountains and coasts: Florida is as dry as the Sahara here, up to the share ``MAX_ARID``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Rounded from the lower ends of glaciers in the Alps, Scandinavia, Svalbard, the 
 ICE_EDGE_M = 250.0
 """Ground blends into ice from this far below the snow line to this far above it."""
 
-MOST_ARID, ARID_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
+MAX_ARID, ARID_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
 """Share of the desert's colours in the middle of the dry belt, and the latitudes over which that share rises and falls."""
 
 TUNDRA_DEG = (60.0, 70.0), (-52.0, -60.0)
@@ -80,7 +80,7 @@ def _ice(latitude_deg: np.ndarray, heights_m: np.ndarray) -> np.ndarray:
 def _arid(latitude_deg: np.ndarray) -> np.ndarray:
     (rises, full), (falls, none) = ARID_DEG
     away = np.abs(latitude_deg)
-    return MOST_ARID * smoothstep((away - rises) / (full - rises)) * smoothstep((none - away) / (none - falls))
+    return MAX_ARID * smoothstep((away - rises) / (full - rises)) * smoothstep((none - away) / (none - falls))
 
 
 def _tundra(latitude_deg: np.ndarray) -> np.ndarray:

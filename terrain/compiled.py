@@ -72,8 +72,8 @@ def run_in_chunks(rows: int, loop: Callable[..., Any], *args: Any) -> None:
 def map_on_cores(work: Callable[[T], R], parts: Iterable[T], cores: int = CORES) -> list[R]:
     """Return ``work(part)`` of all parts, computed on several cores. With one core it runs in this thread.
 
-    Use ``run_in_chunks`` for the rows of a loop. Here the caller cuts the parts, and the threads end with the call. ``work`` itself may
-    call ``run_in_chunks``.
+    Use ``run_in_chunks`` for the rows of a loop. Here the caller cuts the parts, and the threads end with the call. ``work`` itself
+    may call ``run_in_chunks``.
     """
     if cores == 1:
         return [work(part) for part in parts]

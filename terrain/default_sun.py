@@ -17,7 +17,7 @@ from skugga.terrain.level.parts import SunSpec
 STEEP_SHARE = 0.05
 """Share of the ground that falls away from the sun more steeply than its rays."""
 
-LEAST_DEG, MOST_DEG = 4.0, 35.0
+MIN_DEG, MAX_DEG = 4.0, 35.0
 """Bounds of the sun's altitude. A lower sun at the level's far side covers the map in shadow; a higher one casts little."""
 
 METRES_PER_DEGREE = 111_195.0
@@ -39,13 +39,13 @@ def default_sun(world: World, elevation: Elevation) -> SunSpec:
     """Return the default sun of a level, in whole degrees."""
     azimuth = FLAT_WORLD_AZIMUTH_DEG
     altitude = OVER_LEVEL_GROUND_DEG
-    min_deg = LEAST_DEG
+    min_deg = MIN_DEG
     for _ in range(2):  # the slopes depend on the azimuth, and the azimuth on the altitude
         steepness_deg = _steepness_deg(world, elevation, azimuth)
-        altitude = OVER_LEVEL_GROUND_DEG if steepness_deg < LEVEL_GROUND_DEG else float(np.clip(steepness_deg, min_deg, MOST_DEG))
+        altitude = OVER_LEVEL_GROUND_DEG if steepness_deg < LEVEL_GROUND_DEG else float(np.clip(steepness_deg, min_deg, MAX_DEG))
         if not world.flat:
             azimuth, altitude = _afternoon_position(world.anchor_lat_deg, altitude)
-            min_deg = min(LEAST_DEG + _half_extent_deg(world, elevation, azimuth), MOST_DEG)
+            min_deg = min(MIN_DEG + _half_extent_deg(world, elevation, azimuth), MAX_DEG)
     return SunSpec(azimuth=round(azimuth) % 360, altitude=round(altitude))
 
 

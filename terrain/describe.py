@@ -73,7 +73,8 @@ def describe(
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.objects.tallest_m, weather=scene.loaded.level.weather,
         lights=facts_of_lights(probes, _area_share(scene, view_facts["receivers_light_m"]), lamp_names),
-        facts={key: _nan_to_none(effect.facts(scene, view, coarse_view)) for key, effect in EFFECTS.items() if effect.facts is not None},
+        facts={key: _nan_to_none(effect.facts(scene, view, coarse_view)) for key, effect in EFFECTS.items()
+               if effect.facts is not None},
         **view_facts,
     )  # fmt: skip
 
@@ -122,7 +123,7 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
     grid = ground_mesh(scene, view).grid
     return {
         "view_kind": "perspective", "pixel_m": median_m * view.pixel, "node_m": step_at_anchor_m(scene.world, grid),
-        "pixel": view.pixel, "bands": bands, "seen_share": float(coarse_view.buffer.there.mean()),
+        "pixel": view.pixel, "bands": bands, "seen_share": float(coarse_view.buffer.valid.mean()),
         "block_relief_m": float(np.ptp(coarse_view.height_m)) if len(points) else 0.0, "receivers_light_m": extent,
     }  # fmt: skip
 
@@ -168,8 +169,8 @@ def _reach_at_distance_1(view: PerspectiveView, light_from_earth: np.ndarray) ->
 def _bands(distance_m: np.ndarray, visible: _VisiblePointsInLight, tallest_m: float, spacing_share: float) -> tuple[Band, ...]:
     """Return the distance bands of the visible points, by their distances (n,).
 
-    ``spacing_share`` is the spacing of the points as a share of their distance. Objects on the ground may rise by ``tallest_m``, within the
-    view's extent at that distance.
+    ``spacing_share`` is the spacing of the points as a share of their distance. Objects on the ground may rise by ``tallest_m``,
+    within the view's extent at that distance.
     """
     light_m = visible.points_m
     octave = np.ceil(np.log2(np.maximum(distance_m, MIN_DISTANCE_M))).astype(int)

@@ -17,10 +17,10 @@ from skugga.terrain.level.parts import LightSpec
 CONE_EDGE = 0.1
 """Share of a spot's half angle over which its light fades out at the rim."""
 
-LEAST_AIM_M = 1e-6
+MIN_AIM_M = 1e-6
 """Minimum distance between a static spot and its static target."""
 
-LEAST_WAY_M = 0.1
+MIN_WAY_M = 0.1
 """Minimum distance between a spot and its target where either moves. If they were nearer, the spot would turn about at once."""
 
 
@@ -132,7 +132,7 @@ class LampRig:
         if self.target is not None:
             to_target, cutoff = _standpoint_at(self.target, seconds).point_earth_m - position, spec.cutoff
             distance_m = float(np.linalg.norm(to_target))
-            forward = to_target / distance_m if distance_m > LEAST_AIM_M else forward
+            forward = to_target / distance_m if distance_m > MIN_AIM_M else forward
         axes = axes_along(forward, up)
         return Lamp(self.name, spec.kind, position, axes, cutoff, spec.color, spec.intensity, self.reference_m, spec.radius)
 
@@ -150,7 +150,7 @@ def lamp_rig(name: str, spec: LightSpec, place: Geolocator, where: str) -> LampR
         return LampRig(name, spec, position, None, max(standing.above_ground_m, 1.0))
     target = _standpoint_or_path(spec, "target", place, where)
     reference_m = float(np.linalg.norm(_standpoint_at(target, first_s).point_earth_m - standing.point_earth_m))
-    if spec.motion is None and not reference_m > LEAST_AIM_M:
+    if spec.motion is None and not reference_m > MIN_AIM_M:
         raise LevelError(f"{where}.target", spec.target, "a point other than the position")
     _check_distance(position, target, f"{where}.motion.path")
     return LampRig(name, spec, position, target, reference_m)
@@ -178,10 +178,10 @@ def _check_distance(position: Standpoint | GroundPath, target: Standpoint | Grou
         return
     seconds = path.sample_times_s()
     points = [end.points_earth_m(seconds) if isinstance(end, GroundPath) else end.point_earth_m for end in (position, target)]
-    meet = np.linalg.norm(points[1] - points[0], axis=-1) < LEAST_WAY_M
+    meet = np.linalg.norm(points[1] - points[0], axis=-1) < MIN_WAY_M
     if meet.any():
         fault = Problem(f"the light meets its target at second {seconds[meet][0]:.6g}")
-        raise LevelError(name, fault, f"Keep the light at least {LEAST_WAY_M} m from its target")
+        raise LevelError(name, fault, f"Keep the light at least {MIN_WAY_M} m from its target")
 
 
 def _standpoint_at(where: Standpoint | GroundPath, seconds: float) -> Standpoint:

@@ -52,7 +52,7 @@ MAX_PERSPECTIVE_PX = 4096
 
 UTM_WIDTH_DEG = 18.0
 
-MOST_AWAY_DEG = 0.05
+MAX_AWAY_DEG = 0.05
 """Tolerance of a round trip into a CRS and back, in degrees. Datums differ by some hundred metres."""
 
 SAMPLES_PER_SIDE = 33
@@ -463,7 +463,7 @@ def _round_trips(crs: CRS, lon: float, lat: float) -> bool:
     projected = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
     restored = transformer(crs, LONGITUDE_LATITUDE).transform(*projected)
     away_lon = (restored[0] - lon + 180.0) % 360.0 - 180.0
-    return bool(max(abs(away_lon) * np.cos(np.radians(lat)), abs(restored[1] - lat)) < MOST_AWAY_DEG)
+    return bool(max(abs(away_lon) * np.cos(np.radians(lat)), abs(restored[1] - lat)) < MAX_AWAY_DEG)
 
 
 def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:

@@ -173,9 +173,10 @@ def shade(
     """
     if albedo is None:
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
-    out = np.zeros((*buffer.there.shape, 3), np.float32)
+    out = np.zeros((*buffer.valid.shape, 3), np.float32)
     run_in_chunks(
-        len(out), shade_rows, buffer.shading_inputs, look_of(scene, buffer.view, buffer.frame), daylight_in_frame(scene, buffer.frame),
+        len(out), shade_rows, buffer.shading_inputs, look_of(scene, buffer.view, buffer.frame),
+        daylight_in_frame(scene, buffer.frame),
         scene.world.up_origin(buffer.frame), LEAF_GLOW, albedo, sunlight, skylight, lamplight, out,
     )  # fmt: skip
     return out
@@ -193,11 +194,11 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
     ``sunlight`` (rows, cols) is the visible share of the sun's direct light. Pixels without ground are black.
     """
     assert scene.sun is not None
-    out = np.zeros((*ground.there.shape, 3), np.uint8)
+    out = np.zeros((*ground.valid.shape, 3), np.uint8)
     if ground.height_m.size:
         light = daylight_in_frame(scene, ground.frame)
         shade_bare_ground(
-            ground.there[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.sky_share,
+            ground.valid[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.sky_share,
             sunlight[ground.window], look_of(scene, ground.view, ground.frame), light, _srgb_table(),
             out[ground.window],
         )  # fmt: skip
@@ -206,9 +207,9 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
 
 def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the share of the sky (rows, cols) float32 that a slope itself leaves: a half if vertical, all of it if level."""
-    out = np.zeros(buffer.there.shape, np.float32)
+    out = np.zeros(buffer.valid.shape, np.float32)
     centre = scene.world.up_origin(buffer.frame)
-    run_in_chunks(len(out), slopes_sky, buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
+    run_in_chunks(len(out), slopes_sky, buffer.valid, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
     return out
 
 
@@ -219,7 +220,7 @@ def night_of(scene: Scene) -> float:
 
 def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Return the linear albedo (rows, cols, 3) float32 of a buffer's points, with tint and water, as a new array."""
-    albedo = np.zeros((*buffer.there.shape, 3), np.float32)
+    albedo = np.zeros((*buffer.valid.shape, 3), np.float32)
     run_in_chunks(
         len(albedo), albedo_rows, buffer.shading_inputs, scene.world.up_origin(buffer.frame), buffer.albedo,
         look_of(scene, buffer.view, buffer.frame), albedo,

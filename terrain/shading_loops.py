@@ -17,13 +17,13 @@ from skugga.terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_ST
 SHOULDER, SHOULDER_RANGE = 0.6, 0.4
 """Linear colour at which the tone curve's shoulder begins, and the range from there to white."""
 
-LEAST_SKY = 0.3
+MIN_SKY = 0.3
 """Minimum factor of the sky's light on a slope that faces away from the sky's bright side."""
 
-LEAST_ACROSS = 0.15
+MIN_ACROSS = 0.15
 """Minimum cosine of the sun's altitude for its horizontal direction. Near the zenith that direction is undefined."""
 
-LEAST_GRAZING = 1e-9
+MIN_GRAZING = 1e-9
 """Minimum cosine to the sun that counts as lit."""
 
 AIR = (0.66, 0.74, 0.84)
@@ -162,8 +162,8 @@ def _sky_on_slope(facing, upright, sine, directional_share):
 
     The share ``directional_share`` of the light comes from 45 degrees above the horizon at the sun's azimuth.
     """
-    across = (facing - sine * upright) / max(np.sqrt(max(1.0 - sine * sine, 0.0)), LEAST_ACROSS)
-    return max(1.0 + directional_share * (across + upright - 1.0), LEAST_SKY)
+    across = (facing - sine * upright) / max(np.sqrt(max(1.0 - sine * sine, 0.0)), MIN_ACROSS)
+    return max(1.0 + directional_share * (across + upright - 1.0), MIN_SKY)
 
 
 @compiled
@@ -174,7 +174,7 @@ def _direct_on_slope(facing, sine, terminator):
     face away would show as dark squares on slopes that the light grazes.
     """
     cosine = max(facing, 0.0)
-    share = min(cosine / max(terminator * sine, LEAST_GRAZING), 1.0)
+    share = min(cosine / max(terminator * sine, MIN_GRAZING), 1.0)
     return cosine * share * share * (3.0 - 2.0 * share)
 
 
@@ -187,11 +187,11 @@ def _direct_fade(sine):
 
 
 @compiled
-def slopes_sky(first, last, there, normal, position, centre, out):
+def slopes_sky(first, last, valid, normal, position, centre, out):
     """Compute the share of the sky that slopes themselves leave, for some rows."""
     for i in range(first, last):
-        for j in range(there.shape[1]):
-            if there[i, j]:
+        for j in range(valid.shape[1]):
+            if valid[i, j]:
                 n, p = normal[i, j], position[i, j]
                 x, y, z = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
                 out[i, j] = 0.5 + 0.5 * (n[0] * x + n[1] * y + n[2] * z) / np.sqrt(x * x + y * y + z * z)
@@ -211,13 +211,13 @@ def shade_rows(first, last, shown, look, daylight_in_frame, centre, glow, albedo
     ``glow`` is the foliage's share of light (``LEAF_GLOW``).
     """
     # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
-    there, kind, position, height, normal = shown
+    valid, kind, position, height, normal = shown
     tints, north, greying, towards, terminator, exaggeration, limit, veils, foliage = look
     has_sun, to_sun, sun, sky, night = daylight_in_frame
     has_true_slopes = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     for i in range(first, last):
-        for j in range(there.shape[1]):
-            if not there[i, j]:
+        for j in range(valid.shape[1]):
+            if not valid[i, j]:
                 continue
             n, p = normal[i, j], position[i, j]
             leaf = glow if kind[i, j] == FOREST else 0.0
@@ -287,7 +287,8 @@ def _tinted(table, sine, tint_index, fraction):
         )
     row, row_fraction = _latitude_position(sine, table.shape[0])
     return (
-        _tint_between(table, row, row_fraction, 0, tint_index, fraction), _tint_between(table, row, row_fraction, 1, tint_index, fraction),
+        _tint_between(table, row, row_fraction, 0, tint_index, fraction),
+        _tint_between(table, row, row_fraction, 1, tint_index, fraction),
         _tint_between(table, row, row_fraction, 2, tint_index, fraction),
     )  # fmt: skip
 
@@ -305,21 +306,21 @@ def _tint_between(table, row, row_fraction, k, tint_index, fraction):
 
 
 @compiled
-def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, daylight_in_frame, table, out):
+def shade_bare_ground(valid, height, normal, up, sky_share, sunlight, look, daylight_in_frame, table, out):
     """Compute ``srgb_encoded`` of ``shade_rows`` for bare ground, row by row.
 
     Inner loops compile to vector instructions; table look-ups run between them.
     """
     tints, north, greying, towards, terminator, exaggeration, limit, veils, _ = look
     _, to_sun, sun, sky, night = daylight_in_frame
-    cols = there.shape[1]
+    cols = valid.shape[1]
     direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
     facing, high, seen = np.empty(cols), np.empty(cols), np.empty(cols)
     has_true_slopes = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     fraction, tint_index = np.empty(cols), np.empty(cols, np.int32)
     own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
     latitude, row_fraction, rows = np.empty(cols), np.empty(cols), np.zeros(cols, np.int32)
-    for i in range(there.shape[0]):
+    for i in range(valid.shape[0]):
         _cosines_to_sun(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
         high_everywhere = True  # pixels without ground have a NaN sine, which the comparison ignores
         for j in range(cols):
@@ -342,12 +343,12 @@ def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, dayl
         if not has_one_row:
             _cosines_to_sun(up[i], (north[0], north[1], north[2]), latitude)
             _latitude_positions(latitude, tints.table.shape[0], row_fraction, rows)
-            has_one_row, row = _is_one_climate(tints.differs_from, there[i], rows, tint_index)
+            has_one_row, row = _is_one_climate(tints.differs_from, valid[i], rows, tint_index)
         _look_up_colors(tints.table, has_one_row, row, 3, rows, row_fraction, tint_index, fraction, grey)
         for k in range(3):
             _look_up_colors(tints.table, has_one_row, row, k, rows, row_fraction, tint_index, fraction, own)
             _srgb_steps_of(own, grey, greying, sun[k], sky[k], direct, seen, veil, sky_here, AIR[k], table.size, step)
-            _look_up_srgb(there[i], step, table, out[i, :, k])
+            _look_up_srgb(valid[i], step, table, out[i, :, k])
 
 
 @internal
@@ -401,11 +402,11 @@ def _latitude_positions(sines, count, row_fraction, rows):
 
 
 @internal
-def _is_one_climate(differs_from, there, rows, tint_index):
+def _is_one_climate(differs_from, valid, rows, tint_index):
     """Return whether one row of the tints serves all valid pixels of a row, and its index."""
     first, last, highest = np.int32(differs_from.size), np.int32(-1), np.int32(0)
     for j in range(tint_index.size):
-        if there[j]:
+        if valid[j]:
             first, last, highest = min(first, rows[j]), max(last, rows[j]), max(highest, tint_index[j])
     for n in range(first, last + 1):
         if highest + 1 >= differs_from[n]:
@@ -443,20 +444,20 @@ def _srgb_steps_of(own, grey, greying, sun, sky, direct, seen, veil, sky_here, a
 
 
 @internal
-def _look_up_srgb(there, step, table, out):
+def _look_up_srgb(valid, step, table, out):
     for j in range(step.size):
-        if there[j]:
+        if valid[j]:
             out[j] = table[step[j]]
 
 
 @compiled
 def albedo_rows(first, last, shown, centre, albedo, look, out):
     """Compute the linear albedo of some rows of a buffer: the tint, unless ``albedo`` has a value."""
-    there, _, position, height, _ = shown
+    valid, _, position, height, _ = shown
     tints, north = look.tints, look.north_frame
     for i in range(first, last):
-        for j in range(there.shape[1]):
-            if not there[i, j]:
+        for j in range(valid.shape[1]):
+            if not valid[i, j]:
                 continue
             p = position[i, j]
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]

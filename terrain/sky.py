@@ -41,7 +41,7 @@ AIR_DEPTH = (0.105, 0.180, 0.325)
 SINGLE_SCATTERING_SHARE = 0.45
 """Share of that depth that colours the foot of the sky. Multiple scattering compensates the rest."""
 
-MOST_AIR_MASS = 22.0
+MAX_AIR_MASS = 22.0
 """Maximum optical air mass of a path. Light with a larger one (a sun below 1.5 degrees) is lit from above, too."""
 
 LOW_SUN_DEG = (2.0, 16.0)
@@ -245,4 +245,4 @@ def _sunlight_color(altitude_deg: float) -> np.ndarray:
     """Return the colour (3,) of white sunlight after its path through the air, as far as it colours the foot of the sky."""
     altitude = max(altitude_deg, 0.0)
     mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
-    return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MOST_AIR_MASS) * np.array(AIR_DEPTH))
+    return np.exp(-SINGLE_SCATTERING_SHARE * min(mass, MAX_AIR_MASS) * np.array(AIR_DEPTH))

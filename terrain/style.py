@@ -43,7 +43,7 @@ WOOD_SHARE = 0.25
 Canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in an open wood in Quebec.
 """
 
-EXAGGERATION_POWER, MOST_EXAGGERATION = 0.25, 3.0
+EXAGGERATION_POWER, MAX_EXAGGERATION = 0.25, 3.0
 """Power by which slopes grow with a map's pixel size beyond ``exaggerates_from_m``, and the maximum factor."""
 
 NO_SLOPE_LIMIT = 1e3
@@ -102,7 +102,7 @@ class Style:
     def slope_exaggeration_at(self, pixel_m: float) -> float:
         """Return the factor of slopes in a map with pixels of a side in metres."""
         coarse = (pixel_m / self.exaggerates_from_m) ** EXAGGERATION_POWER
-        return self.slope_exaggeration * float(np.clip(coarse, 1.0, MOST_EXAGGERATION))
+        return self.slope_exaggeration * float(np.clip(coarse, 1.0, MAX_EXAGGERATION))
 
 
 STYLES = {

@@ -46,7 +46,7 @@ PITCHES_DEG = (14.0, 20.0, 26.0, 33.0)
 HEIGHT_SHARES = (0.1, 0.15, 0.22)
 """Candidate heights of the eye above the ground, as shares of the shorter side."""
 
-LEAST_HEIGHT_CELLS = 12.0
+MIN_HEIGHT_CELLS = 12.0
 """Minimum height of the eye in cells. From nearer, the ground shows no detail."""
 
 RAYS = (9, 11)
@@ -98,7 +98,7 @@ def good_view(world: World, elevation: Elevation, sun: Sun | None) -> Perspectiv
     lattice = _lattice(world, elevation, sun)
     rows, cols = lattice.height_m.shape
     short_m = (min(rows, cols) - 1) * lattice.step_m
-    heights_m = np.maximum(np.multiply(HEIGHT_SHARES, short_m), LEAST_HEIGHT_CELLS * elevation.cell_size_m(world.metres_per_unit))
+    heights_m = np.maximum(np.multiply(HEIGHT_SHARES, short_m), MIN_HEIGHT_CELLS * elevation.cell_size_m(world.metres_per_unit))
     row, col = (np.linspace(0.04, 0.96, EYES_PER_SIDE) * (count - 1) for count in (rows, cols))
     eyes = np.stack(np.meshgrid(np.rint(row), np.rint(col), indexing="ij"), axis=-1).reshape(-1, 2).astype(np.int64)
     azimuths = np.radians(np.arange(AZIMUTHS) * 360.0 / AZIMUTHS)
@@ -155,8 +155,8 @@ def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
     map_x, map_y, _ = world.map_position(elevation.crs, points)
     inside = elevation.covers(map_x, map_y)
     at_row, at_col = elevation.cell_of(map_x, map_y)
-    height, there = elevation.heights_at(level, np.where(inside, at_row, np.nan), np.where(inside, at_col, np.nan))
-    height_m = np.where(there, height, np.nan).astype(np.float64)
+    height, valid = elevation.heights_at(level, np.where(inside, at_row, np.nan), np.where(inside, at_col, np.nan))
+    height_m = np.where(valid, height, np.nan).astype(np.float64)
     if sun is None:
         light = np.ones_like(height_m)
     else:

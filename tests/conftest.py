@@ -90,7 +90,7 @@ def _forked_render_processes(_own_cache: None, pytestconfig: pytest.Config) -> I
         forkserver.set_forkserver_preload(
             ["tests.api.workers.fake_workers", "skugga.api.workers.warm_up", "skugga.api.workers.render_worker"]
         )
-        if module := sys.modules.get("skugga.api.workers.spawned"):
+        if module := sys.modules.get("skugga.api.workers.piped_process"):
             patch.setattr(module, "get_context", lambda method: forkserver)
         yield
 

@@ -17,7 +17,7 @@ from PIL import Image
 RENDERER = "llvmpipe"
 TOLERANCE = 1
 
-TOLERANCE_ELSEWHERE, MOST_OFF_ELSEWHERE = 32, 0.005
+TOLERANCE_ELSEWHERE, MAX_OFF_ELSEWHERE = 32, 0.005
 """On another renderer than ``RENDERER`` five pixels in a thousand may differ by more than 32 of 255.
 
 OpenGL leaves open how finely corners are rounded, how depths between them are, and which pixels a line covers. So a pixel through
@@ -41,7 +41,7 @@ def assert_golden(
     at_home = renderer.startswith(RENDERER)  # which "zink (llvmpipe)" is not
     if not at_home:
         assert not regenerate, f"golden pictures are made on {RENDERER}; this is {renderer}"
-        tolerance, most_off = max(tolerance, TOLERANCE_ELSEWHERE), max(most_off, MOST_OFF_ELSEWHERE)
+        tolerance, most_off = max(tolerance, TOLERANCE_ELSEWHERE), max(most_off, MAX_OFF_ELSEWHERE)
     path = FOLDER / f"{name}.png"
     if regenerate or (not path.is_file() and not os.environ.get("CI") and at_home):
         FOLDER.mkdir(exist_ok=True)

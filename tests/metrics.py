@@ -16,7 +16,7 @@ from skugga.terrain.scene import Scene
 def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 64) -> np.ndarray:
     """Visibility (rows, cols) of the sun's disc at a buffer's points: the reference of filtered variants; NaN off the surface."""
     visibility = truth.fill(buffer, scene, SUN, truth.ALL_KINDS, casters, TruthSettings(light_samples=samples), PassLog())
-    return np.where(buffer.there, visibility, np.nan)
+    return np.where(buffer.valid, visibility, np.nan)
 
 
 def flicker(

@@ -202,7 +202,7 @@ def test_it_draws_and_what_it_keeps_is_forgotten(gl, coarse_rays, scene):
     assert np.array_equal(whole, truth, equal_nan=True) and 0.05 < (truth == 0.0).mean() < 0.95
     frame = drawn(scene, view, plan_by(scene, view))
     assert [record.name for record in frame.passes] == frame.plan.passes
-    differs = frame.visibility[frame.there] != truth[frame.there]
+    differs = frame.visibility[frame.valid] != truth[frame.valid]
     assert 0.0 < differs.mean() < 0.2 and len(cast) == 2
     again = drawn(scene, view, plan_by(scene, view))
     assert np.array_equal(again.visibility, frame.visibility, equal_nan=True) and len(cast) == 2  # it was kept
@@ -367,11 +367,11 @@ def test_a_chain_over_names_would_be_found(tmp_path):
 
 def test_every_cache_of_a_room_is_kept_by_an_algorithm(gl):
     """What an algorithm says that it keeps is there, and what the rooms of algorithms keep, one of them says."""
-    there = {cache.name for cache in caches()}
+    cache_names = {cache.name for cache in caches()}
     kept = {name for each in ALGORITHMS.values() for name in each.keeps}
-    assert kept <= there
+    assert kept <= cache_names
     rooms = tuple(f"shadows.{room}." for room in ("maps", "volumes", "hybrid", "sweep", "truth.truth", "planar"))
-    assert {name for name in there if name.startswith(rooms)} - {
+    assert {name for name in cache_names if name.startswith(rooms)} - {
         "skugga.shadows.maps.resolve._of_runs",
         "skugga.shadows.maps.resolve._splits",
     } <= kept

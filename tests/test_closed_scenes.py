@@ -118,7 +118,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     compute(scene, nodes, ProductRequest(product="height"), None)
     point = place_at(scene, tuple(place(240, 200)))
     horizon_profile(load_surroundings(scene, point))
-    real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)
+    real.errors([np.ones(buffer.valid.shape)], plan.steps_under("sun"), 1.0)
     return [probes, buffer, real, block, point]
 
 

@@ -96,7 +96,7 @@ class Animation:
         self.status, self.message, self.error, self.finished = status, message, error, now()
         self.updated, self.expires = self.finished, self.finished + timedelta(seconds=age_s)
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Release the film, and cancel the timer."""
         if self.ending is not None:
             self.ending.cancel()

@@ -16,8 +16,8 @@ from skugga.api.animations.animation import STATUSES, Animation, AnimationStatus
 from skugga.api.animations.film_file import FilmFile
 from skugga.api.animations.film_order import FilmOrder
 from skugga.api.animations.frame_handover import FrameHandover
-from skugga.api.errors import LaterError, NotServedError, StorageError
-from skugga.api.exhaustion import exhausted_error, in_thread
+from skugga.api.errors import NotServedError, RetryLaterError, StorageError
+from skugga.api.resource_exhaustion import exhausted_error, run_in_pool
 from skugga.api.settings import Settings
 from skugga.api.workers.admission import retry_after_s
 from skugga.terrain.cache import Cache, Missing
@@ -49,72 +49,72 @@ class Animations:
     def __init__(self, settings: Settings, draw: Draw, encode: Encode) -> None:
         self._settings = settings
         self._draw, self._encode = draw, encode
-        self._going: dict[str, Animation] = {}
-        self._kept: Cache[Animation] = Cache(
+        self._active: dict[str, Animation] = {}
+        self._ended_cache: Cache[Animation] = Cache(
             "skugga.api.animations.kept", "process", settings.animation_bytes, lambda each: each.film_bytes + STATE_BYTES,
-            self._let_go, settings.animations_kept,
+            self._release, settings.animations_kept,
         )  # fmt: skip
         self._by_order: dict[FilmOrder, Animation] = {}
-        self._turns = asyncio.Semaphore(settings.animations_at_a_time)
+        self._slots = asyncio.Semaphore(settings.animations_at_a_time)
         self._threads = ThreadPoolExecutor(settings.animations_at_a_time, "skugga-film")
-        self._works: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
         self.ended: dict[AnimationStatus, int] = dict.fromkeys(STATUSES[2:], 0)
 
     @property
     def counts(self) -> dict[AnimationStatus, int]:
         """The number of animations by status."""
-        found = [each.status for each in (*self._going.values(), *self._kept.values)]
+        found = [each.status for each in (*self._active.values(), *self._ended_cache.values)]
         return {status: found.count(status) for status in STATUSES}
 
     @property
     def going(self) -> int:
         """The number of animations that are drawn or in the queue."""
-        return len(self._going)
+        return len(self._active)
 
     @property
-    def kept_bytes(self) -> int:
+    def cached_bytes(self) -> int:
         """Bytes of the cached films."""
-        return sum(each.film_bytes for each in self._kept.values)
+        return sum(each.film_bytes for each in self._ended_cache.values)
 
     def known(self, order: FilmOrder) -> Animation | None:
         """Return the animation of an order, if it is queued, drawn or cached. This renews its timer as ``get`` does."""
         animation = self._by_order.get(order)
         return None if animation is None else self.get(animation.id)
 
-    def check_room(self) -> None:
-        """Raise ``LaterError`` if the queue is full, and ``BusyError`` after ``close``."""
+    def check_queue(self) -> None:
+        """Raise ``RetryLaterError`` if the queue is full, and ``BusyError`` after ``close``."""
         if self._closed:
             raise BusyError("The service is shutting down.")
-        waiting = len(self._going) - self._settings.animations_at_a_time
+        waiting = len(self._active) - self._settings.animations_at_a_time
         if waiting >= self._settings.animations_waiting:
-            left_s = min(map(self._own_seconds_left, self._going.values()))
-            message = f"The service is busy: {len(self._going)} animations are being drawn or waiting."
-            raise LaterError(message, retry_after_s(left_s))
+            left_s = min(map(self._drawing_seconds_left, self._active.values()))
+            message = f"The service is busy: {len(self._active)} animations are being drawn or waiting."
+            raise RetryLaterError(message, retry_after_s(left_s))
 
     def ask(self, order: FilmOrder, frame_s: float) -> Animation:
         """Return the animation of an order: the existing one, or a new one in the queue.
 
-        ``frame_s`` is the expected time of each frame in seconds. Raises the errors of ``check_room``.
+        ``frame_s`` is the expected time of each frame in seconds. Raises the errors of ``check_queue``.
         """
         if (animation := self.known(order)) is not None:
             return animation
-        self.check_room()
+        self.check_queue()
         animation = Animation(secrets.token_hex(ID_BYTES), order, frame_s)
-        self._going[animation.id] = self._by_order[order] = animation
-        self._await_questions(animation)
+        self._active[animation.id] = self._by_order[order] = animation
+        self._restart_abandon_timer(animation)
         animation.work = asyncio.create_task(self._make(animation))
-        self._works.add(animation.work)
-        animation.work.add_done_callback(self._works.discard)
+        self._tasks.add(animation.work)
+        animation.work.add_done_callback(self._tasks.discard)
         return animation
 
     def get(self, name: str) -> Animation:
         """Return the animation with an id, and renew the timer that would dismiss it. Raises ``NotServedError``."""
-        animation = self._going.get(name)
+        animation = self._active.get(name)
         if animation is not None:
-            self._await_questions(animation)
+            self._restart_abandon_timer(animation)
             return animation
-        kept = self._kept.get(name)
+        kept = self._ended_cache.get(name)
         if isinstance(kept, Missing):
             message = "animation: this animation does not exist, or is no longer kept. Request it again."
             raise NotServedError("animation", message)
@@ -126,39 +126,39 @@ class Animations:
             return
         if animation.work is not None:
             animation.work.cancel()
-        self._kept.drop(animation.id)
-        animation.let_go()
+        self._ended_cache.drop(animation.id)
+        animation.release()
         self._end(animation, "dismissed", message)
 
     def seconds_left(self, animation: Animation) -> float:
         """Return the expected seconds until an animation is finished, including those before it in the queue."""
         if animation.ended:
             return 0.0
-        before = []
-        for each in self._going.values():
+        queued_s = []
+        for each in self._active.values():
             if each is animation:
                 break
-            before.append(self._own_seconds_left(each))
-        waited_for = sum(before) / self._settings.animations_at_a_time if animation.status == "accepted" else 0.0
-        return waited_for + self._own_seconds_left(animation)
+            queued_s.append(self._drawing_seconds_left(each))
+        queue_s = sum(queued_s) / self._settings.animations_at_a_time if animation.status == "accepted" else 0.0
+        return queue_s + self._drawing_seconds_left(animation)
 
     async def close(self) -> None:
         """Dismiss all animations, delete all films, and wait for the threads."""
         self._closed = True
-        for animation in list(self._going.values()):
+        for animation in list(self._active.values()):
             self.dismiss(animation, "The service was stopped.")
-        if self._works:
-            await asyncio.wait(self._works)
-        self._kept.clear()
+        if self._tasks:
+            await asyncio.wait(self._tasks)
+        self._ended_cache.clear()
         self._threads.shutdown(wait=True)
 
-    def _own_seconds_left(self, animation: Animation) -> float:
+    def _drawing_seconds_left(self, animation: Animation) -> float:
         done, order, each_s = animation.frames_done, animation.order, animation.frame_s
         if done and animation.running_since_s is not None:
             each_s = (asyncio.get_running_loop().time() - animation.running_since_s) / done
         return (order.span.frames - done) * each_s
 
-    def _await_questions(self, animation: Animation) -> None:
+    def _restart_abandon_timer(self, animation: Animation) -> None:
         """Start the timer that dismisses an animation unless a client asks about it."""
         if animation.ending is not None:
             animation.ending.cancel()
@@ -170,13 +170,13 @@ class Animations:
         """Draw an animation when a slot is free, and record its film or its error. Dismissal cancels this task."""
         loop = asyncio.get_running_loop()
         try:
-            async with self._turns:
+            async with self._slots:
                 animation.begin(loop.time())
                 film = await self._film(animation)
         except SkuggaError as error:
             self._fail(animation, error)
         except Exception as error:  # other animations go on
-            self._fail(animation, _known_error(animation, error))
+            self._fail(animation, _film_error(animation, error))
         else:
             animation.film = film
             self._end(animation, "successful")
@@ -186,7 +186,7 @@ class Animations:
         loop, order = asyncio.get_running_loop(), animation.order
         frames = FrameHandover(self._draw(order), loop, animation.advance)
         try:
-            writing = in_thread(self._threads, self._written, frames, order)
+            writing = run_in_pool(self._threads, self._write_film, frames, order)
             try:
                 return await asyncio.shield(writing)
             except BaseException:
@@ -198,7 +198,7 @@ class Animations:
         finally:
             await frames.stop()
 
-    def _written(self, frames: Iterable[np.ndarray], order: FilmOrder) -> FilmFile:
+    def _write_film(self, frames: Iterable[np.ndarray], order: FilmOrder) -> FilmFile:
         """Return the film in an unlinked file, which the system deletes even if this process crashes."""
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
             path = Path(folder) / f"film.{order.format}"
@@ -222,17 +222,17 @@ class Animations:
         if not animation.ended:
             self.ended[status] += 1
         animation.end(status, self._settings.animation_age_s, message, error)
-        self._going.pop(animation.id, None)
+        self._active.pop(animation.id, None)
         if animation.film is None:
             self._forget_order(animation)
         if animation.ending is not None:
             animation.ending.cancel()
-        self._kept.put(animation.id, value=animation)
+        self._ended_cache.put(animation.id, value=animation)
         later = asyncio.get_running_loop().call_later
-        animation.ending = later(self._settings.animation_age_s, self._kept.drop, animation.id)
+        animation.ending = later(self._settings.animation_age_s, self._ended_cache.drop, animation.id)
 
-    def _let_go(self, animation: Animation) -> None:
-        animation.let_go()
+    def _release(self, animation: Animation) -> None:
+        animation.release()
         self._forget_order(animation)
 
     def _forget_order(self, animation: Animation) -> None:
@@ -240,7 +240,7 @@ class Animations:
             del self._by_order[animation.order]
 
 
-def _known_error(animation: Animation, error: Exception) -> SkuggaError:
+def _film_error(animation: Animation, error: Exception) -> SkuggaError:
     """Return the ``SkuggaError`` for an error of writing a film, and log it.
 
     The cause is a lack of threads or memory, a lack of disk space, or a bug or an exception of the encoder.

@@ -11,17 +11,17 @@ from skugga.api.animations.animations import Draw
 from skugga.api.animations.film_order import FilmOrder
 from skugga.api.errors import LevelChangedError
 from skugga.api.film_files import write_film
-from skugga.api.workers.jobs import CarriedPlans, FilmPicture, FrameJob, LevelKey
+from skugga.api.workers.jobs import FilmPicture, FrameJob, LevelKey, PlanHandover
 from skugga.api.workers.pool import Pool
 
 
-def frame_job(order: FilmOrder, number: int, before: CarriedPlans | None = None) -> FrameJob:
+def frame_job(order: FilmOrder, number: int, before: PlanHandover | None = None) -> FrameJob:
     """Return the job of a frame of a film. ``number`` counts from 0, and ``before`` are the plans of the frame before it."""
     film = {name: getattr(order, name) for name in FrameJob.model_fields if name in FilmOrder.model_fields}
     return FrameJob(**film, number=number, before=before)
 
 
-def frames_drawn_by(pool: Pool, level_now: Callable[[str], Awaitable[LevelKey]]) -> Draw:
+def frame_renderer(pool: Pool, level_now: Callable[[str], Awaitable[LevelKey]]) -> Draw:
     """Return a function that draws the frames of a film on a pool.
 
     Each frame is a job, so other requests run between two frames. The pool repeats a frame whose worker crashes, from the same
@@ -30,7 +30,7 @@ def frames_drawn_by(pool: Pool, level_now: Callable[[str], Awaitable[LevelKey]])
     """
 
     async def draw(order: FilmOrder) -> AsyncGenerator[np.ndarray, None]:
-        before: CarriedPlans | None = None
+        before: PlanHandover | None = None
         for number in range(order.span.frames):
             if await level_now(order.level_name) != order.level:
                 raise LevelChangedError(f"Level {order.level_name} has changed while it was drawn: ask for the animation again.")

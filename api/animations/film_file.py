@@ -13,12 +13,12 @@ CHUNK_BYTES = 2**18
 class FilmFile:
     """A film in an open file, which may be unlinked from now on.
 
-    The file stays open until the film and every ``Reading`` of it are closed. The class is thread-safe.
+    The file stays open until the film and every ``FilmReader`` of it are closed. The class is thread-safe.
     """
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")
-        self._holders = 1
+        self._hold_count = 1
         self._lock = threading.Lock()
         self.nbytes = os.fstat(self._file.fileno()).st_size
         self.closed = False
@@ -28,11 +28,11 @@ class FilmFile:
         """Whether the file is closed, because nothing holds it any more."""
         return self._file.closed
 
-    def reading(self, first: int, end: int) -> Reading:
+    def reading(self, first: int, end: int) -> FilmReader:
         """Return a reading of the bytes from ``first`` to before ``end``, for one client. The film must not be closed."""
         with self._lock:
-            self._holders += 1
-        return Reading(self, first, end)
+            self._hold_count += 1
+        return FilmReader(self, first, end)
 
     def part(self, first: int, end: int) -> bytes:
         """Return the bytes from ``first`` to before ``end``, for a holder. All clients share one file descriptor."""
@@ -42,22 +42,22 @@ class FilmFile:
         """Release the film. Further calls do nothing."""
         if not self.closed:
             self.closed = True
-            self.let_go()
+            self.release()
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Release one hold of the file. The last one closes it."""
         with self._lock:
-            self._holders -= 1
-            if not self._holders:
+            self._hold_count -= 1
+            if not self._hold_count:
                 self._file.close()
 
 
-class Reading:
+class FilmReader:
     """A range of bytes of a film that one client reads, with a position of its own. It holds the film until it is closed."""
 
     def __init__(self, film: FilmFile, first: int, end: int) -> None:
         self._film: FilmFile | None = film
-        self._place, self._end = first, end
+        self._position, self._end = first, end
         # A disconnecting client closes it while a thread may be reading: the descriptor's number may soon be another file's.
         self._lock = threading.Lock()
 
@@ -66,8 +66,8 @@ class Reading:
         with self._lock:
             if self._film is None:
                 return b""
-            found = self._film.part(self._place, min(self._place + CHUNK_BYTES, self._end))
-            self._place += len(found)
+            found = self._film.part(self._position, min(self._position + CHUNK_BYTES, self._end))
+            self._position += len(found)
             return found
 
     def close(self) -> None:
@@ -75,4 +75,4 @@ class Reading:
         with self._lock:
             film, self._film = self._film, None
         if film is not None:
-            film.let_go()
+            film.release()

@@ -24,42 +24,42 @@ _END = _End()
 class FrameHandover(Generic[T]):
     """Iterator in a thread over the items of an async generator in an event loop.
 
-    It holds at most two items: the current one and the next one. The event loop calls ``handed`` with the count of items so far.
+    It holds at most two items: the current one and the next one. The event loop calls ``on_frame`` with the count of items so far.
     """
 
-    def __init__(self, frames: AsyncGenerator[T, None], loop: asyncio.AbstractEventLoop, handed: Callable[[int], None]) -> None:
-        self._frames, self._loop, self._handed = frames, loop, handed
+    def __init__(self, frames: AsyncGenerator[T, None], loop: asyncio.AbstractEventLoop, on_frame: Callable[[int], None]) -> None:
+        self._frames, self._loop, self._on_frame = frames, loop, on_frame
         self._count = 0
         self._stopped = False
-        self._asking: asyncio.Task[T | _End] | None = None
+        self._pending: asyncio.Task[T | _End] | None = None
 
     def __iter__(self) -> Iterator[T]:
         """Yield the frames. Raises ``StoppedError`` after ``stop``, and the errors of the generator."""
-        coming = self._ask()
+        next_frame = self._request_next()
         while True:
-            frame = coming.result()
+            frame = next_frame.result()
             if isinstance(frame, _End):
                 return
-            coming = self._ask()
+            next_frame = self._request_next()
             yield frame
 
     async def stop(self) -> None:
         """Stop the generator. The thread's next item raises ``StoppedError``. Call it in the event loop."""
         self._stopped = True
-        if self._asking is not None:
-            self._asking.cancel()
-            await asyncio.wait({self._asking})
+        if self._pending is not None:
+            self._pending.cancel()
+            await asyncio.wait({self._pending})
         await self._frames.aclose()
 
-    def _ask(self) -> Future[T | _End]:
+    def _request_next(self) -> Future[T | _End]:
         return asyncio.run_coroutine_threadsafe(self._next(), self._loop)
 
     async def _next(self) -> T | _End:
         if self._stopped:
             raise StoppedError
-        self._asking = asyncio.ensure_future(self._frame())
+        self._pending = asyncio.ensure_future(self._frame())
         try:
-            return await self._asking
+            return await self._pending
         except asyncio.CancelledError:
             raise StoppedError from None
 
@@ -67,5 +67,5 @@ class FrameHandover(Generic[T]):
         frame = await anext(self._frames, _END)
         if not isinstance(frame, _End):
             self._count += 1
-            self._handed(self._count)
+            self._on_frame(self._count)
         return frame

@@ -7,9 +7,9 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from skugga.api.cli.all_views import cells_of, facts_of
+from skugga.api.cli.all_views import plan_cells, plan_facts
 from skugga.api.cli.tables import named_table
-from skugga.api.cli.times import duration_of
+from skugga.api.cli.times import read_duration
 from skugga.api.device_calibration import calibration
 from skugga.api.file_stamps import file_stamps, level_version, watched_files
 from skugga.api.map_probing import probe_maps
@@ -39,26 +39,26 @@ def probe_all_scales(
             raise InputError.conflict(
                 f"--{name.replace('_', '-')}", "--all-scales", "Leave it out: tiles use the value of the level file"
             )
-    budget_s = DEFAULT_BUDGET_S if budget is None else duration_of("--budget", budget).total_seconds()
+    budget_s = DEFAULT_BUDGET_S if budget is None else read_duration("--budget", budget).total_seconds()
     loaded = load_level(level)
     stamps = file_stamps(watched_files(loaded))  # before the files are read, as a service does
     scene = build_scene(loaded).with_sun(sun)
     plans: list[tuple[int, Plan]] = []
 
-    def note(scale: int, probed: ProbedView) -> None:
+    def add_plan(scale: int, probed: ProbedView) -> None:
         plans.append((scale, probed.plan))
 
     try:
-        found = probe_maps(scene, calibration(), overrides, budget_s, note)
+        probes = probe_maps(scene, calibration(), overrides, budget_s, add_plan)
     finally:
         scene.close()
-    return plans, _kept(level_version(loaded, stamps), found) if write else None
+    return plans, _save_probes(level_version(loaded, stamps), probes) if write else None
 
 
-def _kept(version: str, found: MapProbes) -> str:
+def _save_probes(version: str, probes: MapProbes) -> str:
     renderer, driver = gl.renderer_and_version()
     try:
-        path = save_probes(renderer, driver, version, found)
+        path = save_probes(renderer, driver, version, probes)
     except OSError as error:
         raise LevelError(
             "--write", Problem(f"{error.filename} cannot be written ({error.strerror})"), "Make its folder writable"
@@ -73,10 +73,10 @@ def table_of_scales(plans: list[tuple[int, Plan]]) -> Table:
         table.add_column(name, justify="right")
     table.add_column("target")
     for scale, plan in plans:
-        table.add_row(f"{2.0**scale:g} m", *cells_of(plan))
+        table.add_row(f"{2.0**scale:g} m", *plan_cells(plan))
     return table
 
 
 def rows_of_scales(plans: list[tuple[int, Plan]]) -> list[dict[str, Any]]:
     """Return the plans as values for JSON: one object for each scale, with its whole plan."""
-    return [{"pixel_m": 2.0**scale, **facts_of(plan)} for scale, plan in plans]
+    return [{"pixel_m": 2.0**scale, **plan_facts(plan)} for scale, plan in plans]

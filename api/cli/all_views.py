@@ -9,7 +9,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from skugga.api.cli.planning import PlannedView, asking, plan_scene_view, unpinned
+from skugga.api.cli.planning import PlannedView, plan_scene_view, with_shadow_settings, without_pins
 from skugga.api.cli.snapshot import scene_and_view
 from skugga.api.cli.tables import named_table
 from skugga.api.report.plan_text import POLICIES, format_expectation, format_sun, format_view_and_sun
@@ -23,7 +23,7 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 
 
-def refuse_beside(option: str, view: str, asked: dict[str, object]) -> None:
+def check_conflicts(option: str, view: str, asked: dict[str, object]) -> None:
     """Raise ``InputError`` for options of a single view that are combined with an option for many views."""
     for name, value in ({"view": None if view == "map" else view} | asked).items():
         if value is not None:
@@ -45,7 +45,7 @@ def plan_all_views(
     """
     scene, _ = scene_and_view(level, "map", sun, seconds=seconds)
     if ignore_pins:
-        scene = asking(unpinned(scene), {PINS: []})
+        scene = with_shadow_settings(without_pins(scene), {PINS: []})
     names = dict.fromkeys(["map", *scene.loaded.level.views])
     return [plan_scene_view(level.path, scene, scene.view(name), name, policy, overrides, budget) for name in names]
 
@@ -68,13 +68,14 @@ def pin_all(choices: Sequence[PlannedView]) -> str:
     policies = dict.fromkeys(POLICIES[choice.plan.policy] for choice in casting)
     why = [f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {' and '.join(policies)}."]
     why += [
-        f"{format_view_and_sun(each.scene, each.plan)}: {choice_of(each.plan)}. {format_expectation(each.plan)}" for each in casting
+        f"{format_view_and_sun(each.scene, each.plan)}: {choice_label(each.plan)}. {format_expectation(each.plan)}"
+        for each in casting
     ]
     pin(path, {PINS: chosen}, why)
     return f"Pinned into {path}: {', '.join(f'{each.plan.view} {each.plan.headline}' for each in casting)}."
 
 
-def table_of(choices: Sequence[PlannedView]) -> Table:
+def choices_table(choices: Sequence[PlannedView]) -> Table:
     """Return the choices as a table: view, sun, choice, expected time and error, and whether it meets the target."""
     table = named_table("view", "sun", "choice", box=box.SIMPLE_HEAD)
     for name in ("time", "error"):
@@ -82,27 +83,27 @@ def table_of(choices: Sequence[PlannedView]) -> Table:
     table.add_column("target")
     for choice in choices:
         sun = format_sun(choice.scene.sun).removeprefix("the sun ")
-        table.add_row(choice.plan.view, sun, *cells_of(choice.plan))
+        table.add_row(choice.plan.view, sun, *plan_cells(choice.plan))
     return table
 
 
-def rows_of(choices: Sequence[PlannedView]) -> list[dict[str, Any]]:
+def json_rows(choices: Sequence[PlannedView]) -> list[dict[str, Any]]:
     """Return the choices as values for JSON: one object for each view, with its whole plan."""
     return [
         {
             "view": choice.plan.view,
             "sun": None if (sun := choice.scene.sun) is None else {"azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg},
-            **facts_of(choice.plan),
+            **plan_facts(choice.plan),
         }
         for choice in choices
     ]
 
 
-def facts_of(plan: Plan) -> dict[str, Any]:
+def plan_facts(plan: Plan) -> dict[str, Any]:
     """Return the cells of a plan's row as values for JSON, with the whole plan."""
     predicted = plan.predicted
     return {
-        "choice": choice_of(plan),
+        "choice": choice_label(plan),
         "ms": None if predicted is None else predicted.ms,
         "error": None if predicted is None else predicted.wrong_cast,
         "met": plan.target.met,
@@ -110,15 +111,15 @@ def facts_of(plan: Plan) -> dict[str, Any]:
     }
 
 
-def cells_of(plan: Plan) -> tuple[str, str, str, str]:
+def plan_cells(plan: Plan) -> tuple[str, str, str, str]:
     """Return the cells of a plan's row: choice, expected time, expected error, and whether it meets the target."""
     predicted = plan.predicted
     time, error = ("", "") if predicted is None else (format_duration(predicted.ms), format_percent(predicted.wrong_cast))
     met = {True: "met", False: "missed", None: "not predicted"}[plan.target.met] if _casts(plan) else ""
-    return choice_of(plan), time, error, met
+    return choice_label(plan), time, error, met
 
 
-def choice_of(plan: Plan) -> str:
+def choice_label(plan: Plan) -> str:
     """Return the algorithms of a plan and its requested map sizes, such as ``shadow_map 2048``."""
     if not _casts(plan):
         return NO_SHADOWS

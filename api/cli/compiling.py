@@ -42,19 +42,19 @@ def compile_everything() -> str:
     start = clock.perf_counter()
     folder = loop_store().folder
     if missing_tasks(PRODUCTS):
-        _check_room(folder)
+        _check_writable(folder)
     count = compile_for_command(PRODUCTS)
     missing = len(missing_tasks(PRODUCTS))
     if missing:
-        _check_room(folder)
+        _check_writable(folder)
         raise RenderError(f"{folder}: {missing} loops are still missing. Commands compile them on first use.")
     if not count:
         return f"Nothing to compile: all loops are in {folder}"
     return f"Compiled {count} loops in {clock.perf_counter() - start:.0f} s into {folder}"
 
 
-def _check_room(folder: Path) -> None:
+def _check_writable(folder: Path) -> None:
     """Raise ``OSError``, which names the folder, if no file can be written to it."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if (refused := disk_error(folder / "loops")) is not None:
-        raise OSError(refused.errno, refused.strerror, str(folder))
+    if (error := disk_error(folder / "loops")) is not None:
+        raise OSError(error.errno, error.strerror, str(folder))

@@ -32,7 +32,7 @@ class Finding:
     detail: str
 
 
-def examine() -> list[Finding]:
+def run_checks() -> list[Finding]:
     """Return the findings of all checks; never raises."""
     return [
         Finding("Python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.machine()}"),
@@ -40,7 +40,7 @@ def examine() -> list[Finding]:
         _opengl(),
         *_egl_devices(),
         _calibration(),
-        _drawing(),
+        _render_test_map(),
         _compiled_loops(),
         _viewer(),
     ]
@@ -78,15 +78,15 @@ def _egl_devices() -> list[Finding]:
         used = device().egl_device.index
     except SkuggaError:
         used = None
-    found = []
+    findings = []
     for each in devices:
-        answer = probed_device(each.index)
-        words = [f"no OpenGL 4.3 context ({answer.fault})" if answer.fault else f"{answer.renderer}, {answer.version}"]
-        words += ["in software"] * each.software + [each.name] * bool(each.name) + ["in use"] * (each.index == used)
-        found.append(Finding(f"EGL device {each.index}", True, ", ".join(words)))
+        probe = probed_device(each.index)
+        details = [f"no OpenGL 4.3 context ({probe.fault})" if probe.fault else f"{probe.renderer}, {probe.version}"]
+        details += ["in software"] * each.software + [each.name] * bool(each.name) + ["in use"] * (each.index == used)
+        findings.append(Finding(f"EGL device {each.index}", True, ", ".join(details)))
     if len(devices) > 1:
-        found.append(Finding("several devices", True, f"{EGL_DEVICE} selects the devices to use"))
-    return found
+        findings.append(Finding("several devices", True, f"{EGL_DEVICE} selects the devices to use"))
+    return findings
 
 
 def _calibration() -> Finding:
@@ -107,7 +107,7 @@ def _calibration() -> Finding:
     return Finding("calibration", True, text or "")
 
 
-def _drawing() -> Finding:
+def _render_test_map() -> Finding:
     """Render a small map of known shadow: this checks the whole path from a level to a frame."""
     from skugga.api.catalogue import find_level
     from skugga.api.cli.snapshot import snapshot
@@ -125,7 +125,7 @@ def _drawing() -> Finding:
 
 
 def _compiled_loops() -> Finding:
-    """Check the store of compiled loops. Call it after ``_drawing``, which compiles some."""
+    """Check the store of compiled loops. Call it after ``_render_test_map``, which compiles some."""
     from skugga.terrain.compiling.loop_cache import loop_store
 
     store = loop_store()

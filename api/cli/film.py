@@ -14,12 +14,12 @@ import numpy as np
 import typer
 
 from skugga.api.cli.outputs import check_targets
-from skugga.api.cli.progress import LinesOverBar
-from skugga.api.cli.snapshot import Look, check_seconds, need_for_view
-from skugga.api.cli.warnings import say_own_sun, say_warnings
+from skugga.api.cli.progress import ProgressLines
+from skugga.api.cli.snapshot import StyleOverrides, check_seconds, need_for_view
+from skugga.api.cli.warnings import print_default_sun, print_warnings
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_files import check_film_path, film_files, write_film
-from skugga.api.film_span import USUAL_FPS, film_span
+from skugga.api.film_span import DEFAULT_FPS, film_span
 from skugga.selector.film import FilmFrame, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
@@ -35,7 +35,7 @@ from skugga.terrain.scene import build_scene
 MAX_FRAMES_AHEAD = 4
 """Frames rendered in parallel ahead of the one being written. Each takes some 100 MB."""
 
-FIRST_FRAMES, EXPECTS_ANEW = 5, 1.5
+FRAMES_BEFORE_ESTIMATE, NEW_ESTIMATE_RATIO = 5, 1.5
 """Frames before the first estimate of a film's size and time, and the factor of change that prints a new estimate. The first
 frames often show the night, which compresses well.
 """
@@ -65,7 +65,7 @@ class FilmOptions:
     lossless: bool = False
 
     @property
-    def given(self) -> list[str]:
+    def used_names(self) -> list[str]:
         """Names of the options that were used."""
         values = {"--from": self.start, "--to": self.end, "--step": self.step, "--path": self.path, "--fps": self.fps}
         return [*(name for name, value in values.items() if value is not None), *(["--lossless"] if self.lossless else [])]
@@ -83,7 +83,7 @@ def render_film(
     bounds: tuple[float, float, float, float] | None = None,
     crs: str | None = None,
     seconds: float | None = None,
-    look: Look = (None, None),
+    style_overrides: StyleOverrides = (None, None),
     stats: Path | None = None,
 ) -> None:
     """Render a film of a level to a file. All frames are checked before the first is rendered.
@@ -99,7 +99,7 @@ def render_film(
     check_targets(level, [("--stats", stats)], options.path)
     check_seconds(seconds)
     path = None if options.path is None else load_camera_path(options.path)
-    fps = USUAL_FPS if options.fps is None else options.fps
+    fps = DEFAULT_FPS if options.fps is None else options.fps
     span = film_span(options.start, options.end, options.step, fps, path, seconds)
     if sun is not None and span.start is not None:
         raise InputError.conflict("--time", "--from")
@@ -107,64 +107,67 @@ def render_film(
     need_for_view(loaded, view)
     scene = build_scene(loaded).with_sun(sun)
     try:
-        say_warnings(scene)
+        print_warnings(scene)
         if sun is None and span.start is None:
-            say_own_sun(scene)
-        scene = scene.with_style(*look)
+            print_default_sun(scene)
+        scene = scene.with_style(*style_overrides)
         request = FilmRequest(span, view, path, size, bounds, crs, overrides)
         moments = frame_moments(scene, request)
         check_film_path(output, len(moments), (moments[0].view.cols, moments[0].view.rows))
-        there = [each for each in film_files(output, len(moments)) if each.exists()]
-        check_targets(level, [("--output", each) for each in there], options.path)
+        existing_files = [each for each in film_files(output, len(moments)) if each.exists()]
+        check_targets(level, [("--output", each) for each in existing_files], options.path)
         replanner = Replanner(device=calibration_for(scene.loaded.level.shadows, overrides))
-        with LinesOverBar("Filming") as shown:
-            told = _Told(shown, len(moments))
+        with ProgressLines("Filming") as lines:
+            progress = _FilmProgress(lines, len(moments))
             frames = film_frames(scene, request, moments, replanner, min(CORES, MAX_FRAMES_AHEAD))
-            write_film(output, told.colors(frames), len(moments), fps, options.lossless, told.expect)
+            write_film(output, progress.recorded_colors(frames), len(moments), fps, options.lossless, progress.report_estimate)
         if stats is not None:
-            write_atomically(stats, json.dumps({"level": scene.loaded.name, "fps": fps, **told.statistics}, indent=2) + "\n")
+            write_atomically(stats, json.dumps({"level": scene.loaded.name, "fps": fps, **progress.statistics}, indent=2) + "\n")
     finally:
         scene.close()
 
 
-class _Told:
+class _FilmProgress:
     """Reports the progress of frames on their way to the file, and collects their statistics."""
 
-    def __init__(self, shown: LinesOverBar, total: int) -> None:
-        self._shown, self._total, self._begin = shown, total, clock.perf_counter()
+    def __init__(self, lines: ProgressLines, total: int) -> None:
+        self._lines, self._total, self._begin = lines, total, clock.perf_counter()
         self._drawn = 0
-        self._said: tuple[float, float] | None = None
+        self._last_estimate: tuple[float, float] | None = None
         self.statistics: dict[str, list[dict[str, Any]]] = {"frames": [], "switches": []}
 
-    def colors(self, frames: Iterator[FilmFrame]) -> Iterator[np.ndarray]:
+    def recorded_colors(self, frames: Iterator[FilmFrame]) -> Iterator[np.ndarray]:
         begin = clock.perf_counter()
         for frame in frames:
             drawn_s, moment = clock.perf_counter() - begin, frame.moment
             if frame.switch is not None:
                 switch = frame.switch
-                self._shown.line(printable(f"{moment.words}: {switch.after} instead of {switch.before}: {switch.why}"))
-            if not self._shown.on_terminal:
+                self._lines.line(printable(f"{moment.words}: {switch.after} instead of {switch.before}: {switch.why}"))
+            if not self._lines.is_terminal:
                 typer.echo(f"[{moment.number + 1}/{self._total}] {moment.words}: {frame.plan.headline}, {drawn_s:.2f} s", err=True)
             self._note(frame, drawn_s)
             self._drawn += 1
             yield frame.color
-            self._shown.advance(moment.number + 1, self._total)
+            self._lines.advance(moment.number + 1, self._total)
             begin = clock.perf_counter()
 
-    def expect(self, written: int, size: int) -> None:
+    def report_estimate(self, written: int, size: int) -> None:
         """Print the expected size and remaining time of the film, extrapolated from the frames written so far.
 
-        It is printed once early, and again whenever the estimate changes by the factor ``EXPECTS_ANEW``.
+        It is printed once early, and again whenever the estimate changes by the factor ``NEW_ESTIMATE_RATIO``.
         """
-        if not FIRST_FRAMES <= written < self._total or size == 0:
+        if not FRAMES_BEFORE_ESTIMATE <= written < self._total or size == 0:
             return
-        a_frame_s = (clock.perf_counter() - self._begin) / self._drawn
-        expected = size * self._total / written, a_frame_s * self._total
-        wrong = max((max(now / then, then / now) for now, then in zip(expected, self._said or (), strict=False)), default=math.inf)
-        if wrong > EXPECTS_ANEW:
-            self._said = expected
-            left = _time(a_frame_s * (self._total - self._drawn))
-            self._shown.line(f"{self._total} frames: about {_size(expected[0])} in total, {left} left")
+        frame_s = (clock.perf_counter() - self._begin) / self._drawn
+        expected = size * self._total / written, frame_s * self._total
+        change = max(
+            (max(now / previous, previous / now) for now, previous in zip(expected, self._last_estimate or (), strict=False)),
+            default=math.inf,
+        )
+        if change > NEW_ESTIMATE_RATIO:
+            self._last_estimate = expected
+            remaining = _format_seconds(frame_s * (self._total - self._drawn))
+            self._lines.line(f"{self._total} frames: about {_format_bytes(expected[0])} in total, {remaining} left")
 
     def _note(self, frame: FilmFrame, drawn_s: float) -> None:
         moment = frame.moment
@@ -178,11 +181,11 @@ class _Told:
         })  # fmt: skip
         if frame.switch is not None:
             switch = frame.switch
-            said = {"frame": switch.number + 1, "before": switch.before, "after": switch.after, "why": switch.why}
-            self.statistics["switches"].append(said)
+            record = {"frame": switch.number + 1, "before": switch.before, "after": switch.after, "why": switch.why}
+            self.statistics["switches"].append(record)
 
 
-def _size(count: float) -> str:
+def _format_bytes(count: float) -> str:
     """Return a number of bytes as text with two significant digits."""
     for unit, bytes_of in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if count >= bytes_of:
@@ -190,6 +193,6 @@ def _size(count: float) -> str:
     return f"{count:.0f} bytes"
 
 
-def _time(seconds: float) -> str:
+def _format_seconds(seconds: float) -> str:
     """Return a duration in seconds as text."""
     return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} minutes"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from skugga.api.cli.outputs import check_targets
-from skugga.api.cli.warnings import say_warnings
+from skugga.api.cli.warnings import print_warnings
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.level import load_level
@@ -39,7 +39,7 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
     check_targets(source, [("--output", path)])
     scene = build_scene(loaded)
     try:
-        say_warnings(scene, with_objects=False)
+        print_warnings(scene, with_objects=False)
         view = good_view(scene.world, scene.elevation, scene.sun)
         write_atomically(path, level_text(scene, source, view, path.resolve().parent))
     finally:
@@ -54,7 +54,7 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
     """
     sun, low_m, unit = scene.loaded.level.sun, scene.height_range_m[0], scene.elevation.vertical.unit
     assert isinstance(sun, SunSpec)
-    at = "0, 0" if scene.world.flat else f"{scene.world.anchor_lon_deg:.6f}, {scene.world.anchor_lat_deg:.6f}"
+    example_position = "0, 0" if scene.world.flat else f"{scene.world.anchor_lon_deg:.6f}, {scene.world.anchor_lat_deg:.6f}"
     positions = "metres east and north of the centre" if scene.world.flat else "longitude, latitude"
     nodata = f"  nodata: {source.nodata!r}" if source.nodata is not None else "#  nodata: 0"
     views = ["  map: {kind: map}"]
@@ -105,7 +105,7 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
             "",
             f"# Lamps. Positions: {positions}, metres above the ground.",
             "#lights:",
-            f"#  lamp: {{kind: omni, position: [{at}, 10]}}",
+            f"#  lamp: {{kind: omni, position: [{example_position}, 10]}}",
             "",
             "# Visibility in metres, share of the sky under clouds (0 to 1), and whether snow lies.",
             "#weather: {visibility: 40000, cloud_cover: 0.3, snow: false}",
@@ -117,15 +117,15 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
     )
 
 
-def _part(name: str, stated: list[str] | None, example: list[str]) -> list[str]:
+def _part(name: str, lines: list[str] | None, example: list[str]) -> list[str]:
     """Return the lines of a key of the level, or of a commented example of it."""
-    return [f"{name}:", *stated] if stated else [f"#{name}:", *(f"#{line}" for line in example)]
+    return [f"{name}:", *lines] if lines else [f"#{name}:", *(f"#{line}" for line in example)]
 
 
 def _file(folder: Path, file: Path) -> str:
     """Return the quoted path of a file for a level file: relative if the file lies in the folder, else absolute."""
-    whole = file.resolve()
-    return _quoted(os.fspath(whole.relative_to(folder) if whole.is_relative_to(folder) else whole))
+    absolute = file.resolve()
+    return _quoted(os.fspath(absolute.relative_to(folder) if absolute.is_relative_to(folder) else absolute))
 
 
 def _quoted(text: str) -> Any:

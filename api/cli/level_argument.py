@@ -71,45 +71,52 @@ def takes_level(function: Callable[..., None]) -> Callable[..., None]:
     """
     # The annotation of the first parameter is replaced, so its type need not be imported.
     signature = inspect.signature(function, eval_str=True, locals={"LevelSource": Any})
-    first, *others = signature.parameters.values()
-    shown = first.replace(annotation=_LEVEL) if first.name == "level" else first.replace(annotation=_LEVELS, default=None)
+    first, *other_parameters = signature.parameters.values()
+    level_parameter = first.replace(annotation=_LEVEL) if first.name == "level" else first.replace(annotation=_LEVELS, default=None)
     options = [
         inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=annotation)
         for name, annotation in _OPTIONS.items()
     ]
 
-    def command(**given: Any) -> None:
-        asked = {name: given.pop(name) for name in _OPTIONS}
-        named = given.pop(first.name)
-        found = _find(named, asked) if first.name == "level" else _find_all(named, asked)
-        function(**{first.name: found}, **given)
+    def command(**arguments: Any) -> None:
+        raster_options = {name: arguments.pop(name) for name in _OPTIONS}
+        level_arguments = arguments.pop(first.name)
+        sources = (
+            _level_source(level_arguments, raster_options)
+            if first.name == "level"
+            else _level_sources(level_arguments, raster_options)
+        )
+        function(**{first.name: sources}, **arguments)
 
     command.__name__, command.__doc__ = function.__name__, function.__doc__
-    vars(command)["__signature__"] = signature.replace(parameters=[shown, *others, *options])
+    vars(command)["__signature__"] = signature.replace(parameters=[level_parameter, *other_parameters, *options])
     return command
 
 
-def _find_all(names: list[str] | None, asked: dict[str, Any]) -> list[LevelSource]:
-    for name, value in asked.items():
+def _level_sources(names: list[str] | None, raster_options: dict[str, Any]) -> list[LevelSource]:
+    for name, value in raster_options.items():
         if value is not None and len(names or ()) != 1:
             raise InputError(f"--{name}", Problem("needs exactly one LEVEL"), "Give only the raster that it describes as LEVEL")
-    return [_find_named(name, asked) for name in names or ()]
+    return [_named_level_source(name, raster_options) for name in names or ()]
 
 
-def _find_named(text: str, asked: dict[str, Any]) -> LevelSource:
+def _named_level_source(text: str, raster_options: dict[str, Any]) -> LevelSource:
     """Return a level from a path or from ``NAME=FILE``. The path of an existing file is never split at '='."""
     name, equals, file = text.partition("=")
     if not equals or Path(text).exists():
-        return _find(text, asked)
+        return _level_source(text, raster_options)
     if not re.fullmatch(NAME_PATTERN, name):
         raise InputError(
             "LEVEL", text, "NAME=FILE with a NAME of letters, digits, '.', '_' and '-' that begins with a letter or a digit"
         )
-    return _find(file, asked).model_copy(update={"name": name})
+    return _level_source(file, raster_options).model_copy(update={"name": name})
 
 
-def _find(name: str, asked: dict[str, Any]) -> LevelSource:
+def _level_source(name: str, raster_options: dict[str, Any]) -> LevelSource:
     from skugga.terrain.level.level_source import LevelSource, parse_positive, parse_units
 
-    named = {"units": parse_units("--units", asked["units"]), "positive": parse_positive("--positive", asked["positive"])}
-    return LevelSource(path=find_level(name), **{**asked, **named})
+    parsed = {
+        "units": parse_units("--units", raster_options["units"]),
+        "positive": parse_positive("--positive", raster_options["positive"]),
+    }
+    return LevelSource(path=find_level(name), **{**raster_options, **parsed})

@@ -35,17 +35,17 @@ _UsageError: Any = typer.BadParameter.__mro__[1]
 """Typer's usage error, which Typer does not export."""
 
 
-def _say_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(is_requested: bool) -> None:
+    if is_requested:
         typer.echo(f"skugga {version('skugga')}")
         raise typer.Exit
 
 
 @app.callback()
-def _everywhere(
+def _global_options(
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
     version: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version and exit.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Terrain with the sun's true cast shadows."""
@@ -58,27 +58,27 @@ def main() -> None:
     forbid_code()
     cap_caches()
     try:
-        with _ended_in_order(), missing_loop_compiler(_compile_products):
+        with _signals_as_exceptions(), missing_loop_compiler(_compile_products):
             status = app(sys.argv[1:] or ["--help"], prog_name="skugga", standalone_mode=False)
     except _UsageError as error:
-        status = _fail(error.format_message(), 2)
+        status = _print_error(error.format_message(), 2)
     except typer.Abort:
-        status = _fail("interrupted", 1)
+        status = _print_error("interrupted", 1)
     except SkuggaError as error:
         if debug:
             raise
-        status = _fail(str(error), exit_status(error), several=isinstance(error, InputError) and bool(error.others))
+        status = _print_error(str(error), exit_status(error), one_per_line=isinstance(error, InputError) and bool(error.others))
     except OSError as error:
         if debug:
             raise
-        status = _fail(f"{error.filename or 'output'}: {error.strerror or error}", 1)
+        status = _print_error(f"{error.filename or 'output'}: {error.strerror or error}", 1)
     except Exception as error:
-        ended = error.__cause__
-        if isinstance(error, SystemError) and isinstance(ended, SystemExit | KeyboardInterrupt):  # signal in a compiled loop
-            sys.exit(ended.code if isinstance(ended, SystemExit) else _fail("interrupted", 1))
+        cause = error.__cause__
+        if isinstance(error, SystemError) and isinstance(cause, SystemExit | KeyboardInterrupt):  # signal in a compiled loop
+            sys.exit(cause.code if isinstance(cause, SystemExit) else _print_error("interrupted", 1))
         if debug:
             raise
-        status = _fail(f"internal error: {type(error).__name__}: {error}. Use --debug to print the traceback", 1)
+        status = _print_error(f"internal error: {type(error).__name__}: {error}. Use --debug to print the traceback", 1)
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -89,7 +89,7 @@ def _compile_products(products: Sequence[str]) -> None:
 
 
 @contextmanager
-def _ended_in_order() -> Iterator[None]:
+def _signals_as_exceptions() -> Iterator[None]:
     """Turn signals that end the process into an exception, so that cleanup removes partial files."""
 
     def end(number: int, _: object) -> None:
@@ -106,8 +106,8 @@ def _ended_in_order() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _fail(message: str, status: int, several: bool = False) -> int:
-    """Print an error as one line, or as one line for each of ``several`` errors; return the exit status."""
-    for line in message.split("\n") if several else [message]:
+def _print_error(message: str, status: int, one_per_line: bool = False) -> int:
+    """Print an error as one line, or as one line for each of ``one_per_line`` errors; return the exit status."""
+    for line in message.split("\n") if one_per_line else [message]:
         typer.echo(printable(f"skugga: {' '.join(line.split())}"), err=True)
     return status

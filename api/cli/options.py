@@ -8,33 +8,33 @@ from typing import Annotated, Any
 import typer
 
 from skugga.api.cli.completion import complete_words
-from skugga.api.shown_parameters import FunctionT, takes_settings
+from skugga.api.signature_parameters import FunctionT, with_shadow_settings
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES
 from skugga.terrain.level.level import Shadows, parse_algorithm
 from skugga.terrain.level.setting import FrontEnd, Setting, settings_of
 
 
 def with_shadow_options(command: FrontEnd, after: str = "crs") -> Callable[[FunctionT], FunctionT]:
-    """Decorate a command that takes ``**asked``: add an option for each shadow setting after its own option ``after``."""
-    return takes_settings(command, _option, after)
+    """Decorate a command that takes ``**declared_options``: add an option for each shadow setting after its option ``after``."""
+    return with_shadow_settings(command, _option, after)
 
 
-def overrides_of(command: FrontEnd, asked: dict[str, Any]) -> dict[str, Any]:
+def overrides_of(command: FrontEnd, declared_options: dict[str, Any]) -> dict[str, Any]:
     """Return options as overrides of a level's ``shadows``. Raises ``InputError``."""
-    found = dict(asked)
+    overrides = dict(declared_options)
     for each in settings_of(Shadows, command):
-        given = found.get(each.name)
-        if each.name == "algorithm" and given is not None:
-            found[each.name] = parse_algorithm(given, "--algorithm")
-        elif isinstance(given, str) and given.isascii() and given.isdigit() and any(isinstance(word, int) for word in each.words):
-            found[each.name] = int(given)
-    return found
+        value = overrides.get(each.name)
+        if each.name == "algorithm" and value is not None:
+            overrides[each.name] = parse_algorithm(value, "--algorithm")
+        elif isinstance(value, str) and value.isascii() and value.isdigit() and any(isinstance(word, int) for word in each.words):
+            overrides[each.name] = int(value)
+    return overrides
 
 
 def _option(setting: Setting) -> Any:
-    about = setting.about.replace("`", "")
+    help_text = setting.about.replace("`", "")
     if setting.allowed:
-        about = f"{about.removesuffix('.')} ({setting.allowed})."
-    of_type: Any = setting.plain_type
+        help_text = f"{help_text.removesuffix('.')} ({setting.allowed})."
+    value_type: Any = setting.plain_type
     words = ["auto", *ALGORITHM_NAMES] if setting.name == "algorithm" else setting.words
-    return Annotated[of_type | None, typer.Option(help=about, autocompletion=complete_words(words))]
+    return Annotated[value_type | None, typer.Option(help=help_text, autocompletion=complete_words(words))]

@@ -23,12 +23,12 @@ def check_targets(level: LevelSource, targets: Iterable[tuple[str, Path | None]]
             raise FileNotFoundError(2, "folder not found", str(target))
         if not target.exists():
             continue
-        for source in _read_by(level, inputs):
+        for source in _input_files(level, inputs):
             if source.exists() and target.samefile(source):
                 raise InputError(option, Problem(f"{target} is the same file as the input {source}"), "Write to another file")
 
 
-def _read_by(level: LevelSource, inputs: tuple[Path | None, ...]) -> Iterator[Path]:
+def _input_files(level: LevelSource, inputs: tuple[Path | None, ...]) -> Iterator[Path]:
     yield from (each for each in (level.path, level.canopy, level.buildings, *inputs) if each is not None)
     try:
         sources = load_level(level).linked_sources

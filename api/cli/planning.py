@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 from skugga.api.cli.snapshot import scene_and_view
-from skugga.api.cli.times import duration_of
+from skugga.api.cli.times import read_duration
 from skugga.api.device_calibration import calibration_for
 from skugga.api.report.plan_text import POLICIES, format_choices, format_expectation, format_heading, format_view_and_sun
 from skugga.selector.choices import PolicyName
@@ -72,7 +72,7 @@ def plan_level_view(
     """
     scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
     if ignore_pin:
-        scene = unpinned(scene)
+        scene = without_pins(scene)
     return plan_scene_view(level.path, scene, view_value, view, policy, overrides, budget)
 
 
@@ -90,7 +90,7 @@ def plan_scene_view(
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
     if budget is not None and policy != "probe":
         raise InputError.conflict("--budget", f"--policy {policy}", "Use --policy probe, whose time it limits")
-    budget_s = None if budget is None else duration_of("--budget", budget).total_seconds()
+    budget_s = None if budget is None else read_duration("--budget", budget).total_seconds()
     device = calibration_for(scene.loaded.level.shadows, overrides) if policy != "rules" else None
     plan = plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device, budget_s)
     return PlannedView(path, scene, view_value, plan)
@@ -104,12 +104,12 @@ def pin_plan(choice: PlannedView) -> str:
     """
     scene, plan = choice.scene, choice.plan
     level = scene.loaded.level
-    chosen = pins(plan, describe(scene, choice.view, plan.view), level)
-    asked = asking(scene, chosen)
+    new_pins = pins(plan, describe(scene, choice.view, plan.view), level)
+    pinned_scene = with_shadow_settings(scene, new_pins)
     for name in level.views:
-        _check(asked, name, plan)
-    pin(choice.path, chosen, _why(choice))
-    settings = "".join(f", {key} {value}" for key, value in chosen.items() if key != "algorithm")
+        _check_supported(pinned_scene, name, plan)
+    pin(choice.path, new_pins, _pin_comment(choice))
+    settings = "".join(f", {key} {value}" for key, value in new_pins.items() if key != "algorithm")
     return f"Pinned into {choice.path}: algorithm {plan.headline}{settings}."
 
 
@@ -119,12 +119,12 @@ def write_descriptor(choice: PlannedView, path: Path) -> None:
     write_atomically(path, descriptor.model_dump_json(indent=2) + "\n")
 
 
-def unpinned(scene: Scene) -> Scene:
+def without_pins(scene: Scene) -> Scene:
     """Return a scene whose shadow settings are those before the pin."""
-    return asking(scene, default_values(pinned_keys(scene.loaded.path)))
+    return with_shadow_settings(scene, default_values(pinned_keys(scene.loaded.path)))
 
 
-def asking(scene: Scene, changes: dict[str, Any]) -> Scene:
+def with_shadow_settings(scene: Scene, changes: dict[str, Any]) -> Scene:
     """Return a scene with changed shadow settings, by keys of ``shadows``."""
     level = scene.loaded.level
     shadows = LevelShadows.model_validate({**level.shadows.model_dump(exclude_unset=True), **changes})
@@ -132,7 +132,7 @@ def asking(scene: Scene, changes: dict[str, Any]) -> Scene:
     return replace(scene, loaded=loaded)
 
 
-def _check(scene: Scene, name: str, plan: Plan) -> None:
+def _check_supported(scene: Scene, name: str, plan: Plan) -> None:
     try:
         choose_by_rules(describe(scene, scene.view(name), name), scene.loaded.level)
     except UnsupportedError as error:
@@ -140,7 +140,7 @@ def _check(scene: Scene, name: str, plan: Plan) -> None:
         raise UnsupportedError("--write", plan.headline, reason) from None
 
 
-def _why(choice: PlannedView) -> list[str]:
+def _pin_comment(choice: PlannedView) -> list[str]:
     """Return the comment lines of a pin. The first line identifies it."""
     plan = choice.plan
     return [

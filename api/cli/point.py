@@ -16,10 +16,10 @@ from pyproj.exceptions import CRSError
 
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.tables import wide_console
-from skugga.api.cli.warnings import say_warnings
+from skugga.api.cli.warnings import print_warnings
 from skugga.api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
 from skugga.api.point.polar_picture import sky_picture
-from skugga.api.point.report import around_point, clock_asked, day_asked, point_report
+from skugga.api.point.report import point_report, point_surroundings, requested_clock, requested_day
 from skugga.api.point.track import read_points, read_track, sun_at_points, with_arrivals
 from skugga.api.point.values import PointAnswerRow, PointQuery, PointReport, ReportedCaster, TrackPoint
 from skugga.shadows.point.horizon import Surroundings, horizon_profile
@@ -79,18 +79,18 @@ class PointOptions:
 
 def check_point_options(options: PointOptions, points: Path | None, line: Path | None, start: str | None) -> None:
     """Raise ``InputError`` for options that exclude or need each other, before any work."""
-    many = "--points" if points is not None else "--line" if line is not None else None
-    if many is None:
+    batch_option = "--points" if points is not None else "--line" if line is not None else None
+    if batch_option is None:
         if options.at is None:
             raise InputError.missing("--at", "Give LON,LAT, or many points with --points or --line")
     else:
-        alone = {
-            "--at": options.at, "--line": line if many == "--points" else None, "--horizon": options.horizon,
+        excluded_options = {
+            "--at": options.at, "--line": line if batch_option == "--points" else None, "--horizon": options.horizon,
             "--picture": options.picture, "--year": options.year,
         }  # fmt: skip
-        for name, value in alone.items():
+        for name, value in excluded_options.items():
             if value is not None:
-                raise InputError.conflict(name, many)
+                raise InputError.conflict(name, batch_option)
     if start is not None and line is None:
         raise InputError("--start", Problem("needs a track"), "Add --line FILE")
     if options.horizon is not None and options.horizon not in HORIZON_FORMATS:
@@ -109,13 +109,13 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
     if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError("--picture", str(options.picture), " or ".join(PICTURE_SUFFIXES))
     check_targets(level, [("--output", options.output), ("--picture", options.picture)])
-    query, crs = _query(options, *_pair(options.at or "")), _crs(options.crs)
+    query, crs = _point_query(options, *_read_pair(options.at or "")), _read_crs(options.crs)
     declare_product(POINTS)
     loaded = load_level(level)
     scene = build_scene(loaded).with_sun(options.sun)
-    say_warnings(scene)
+    print_warnings(scene)
     try:
-        around = around_point(scene, query, crs)
+        around = point_surroundings(scene, query, crs)
         horizon = None if options.horizon is None else _horizon(around, options.horizon)
         report = point_report(scene, query, crs) if horizon is None or options.output is not None else None
         if horizon is not None and options.output is not None:
@@ -129,8 +129,8 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
     elif options.as_json:
         typer.echo(report.model_dump_json(indent=2))
     else:
-        is_asked = options.sun is not None or (options.date is None and loaded.level.sun is not None)
-        _show(report, with_now=is_asked)
+        has_chosen_sun = options.sun is not None or (options.date is None and loaded.level.sun is not None)
+        _print_report(report, with_now=has_chosen_sun)
 
 
 def report_points(level: LevelSource, file: Path, options: PointOptions) -> None:
@@ -156,19 +156,19 @@ def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOpt
         raise InputError("--points", Problem("the file has no points"), "Give at least one point")
     declare_product(POINTS)
     scene = build_scene(load_level(level)).with_sun(options.sun)
-    say_warnings(scene)
+    print_warnings(scene)
     try:
-        moving = points[0].time is not None
-        rows = sun_at_points(scene, points, _query(options, 0.0, 0.0), hours=not moving)
+        has_times = points[0].time is not None
+        rows = sun_at_points(scene, points, _point_query(options, 0.0, 0.0), hours=not has_times)
     finally:
         scene.close()
     if options.as_json:
         typer.echo(json.dumps([row.as_json(point) for point, row in zip(points, rows, strict=True)], indent=2))
     else:
-        _show_rows(points, rows)
+        _print_rows(points, rows)
 
 
-def _query(options: PointOptions, lon: float, lat: float) -> PointQuery:
+def _point_query(options: PointOptions, lon: float, lat: float) -> PointQuery:
     day = None if options.date is None else parse_date("--date", options.date)
     if options.clock is not None:
         parse_clock("--clock", options.clock)
@@ -179,7 +179,7 @@ def _query(options: PointOptions, lon: float, lat: float) -> PointQuery:
         raise InputError(f"--{detail['loc'][0]}", detail.get("input"), detail["msg"].removeprefix("Input should be ")) from None
 
 
-def _pair(text: str) -> tuple[float, float]:
+def _read_pair(text: str) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
@@ -187,7 +187,7 @@ def _pair(text: str) -> tuple[float, float]:
     return x, y
 
 
-def _crs(text: str | None) -> CRS | None:
+def _read_crs(text: str | None) -> CRS | None:
     if text is None:
         return None
     try:
@@ -202,14 +202,14 @@ def _horizon(around: Surroundings, format: str) -> str:
 
 def _picture(around: Surroundings, query: PointQuery, file: Path) -> bytes:
     scene: Scene = around.scene
-    day = day_asked(scene, query, around.place.lon_deg)
-    clock = clock_asked(scene, query, around.place.lon_deg, day)
+    day = requested_day(scene, query, around.place.lon_deg)
+    clock = requested_clock(scene, query, around.place.lon_deg, day)
     title = scene.loaded.level.title or scene.loaded.name
     format: Any = PICTURE_SUFFIXES[file.suffix.lower()]
     return sky_picture(around, horizon_profile(around), day, clock, format, title)
 
 
-def _show(report: PointReport, with_now: bool) -> None:
+def _print_report(report: PointReport, with_now: bool) -> None:
     """Print the report as tables; ``with_now`` includes the sun at the chosen time."""
     from rich.table import Table
 
@@ -221,17 +221,17 @@ def _show(report: PointReport, with_now: bool) -> None:
     if report.now is not None and with_now:
         when = "under the level's default sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "
         sun = f"sun at azimuth {report.now.azimuth:.1f}, altitude {report.now.altitude:.1f} degrees"
-        console.print(f"{when}{_state(report.now.lit, report.now.altitude, report.now.by)} ({sun})")
+        console.print(f"{when}{_format_state(report.now.lit, report.now.altitude, report.now.by)} ({sun})")
     if report.day is not None:
         table = Table(
             box=None, show_header=False, title=f"{report.day.date.isoformat()} ({report.day.clock})", title_justify="left"
         )
         rows: Sequence[tuple[str, str]] = (
-            ("sunrise, level horizon", _clock(report.day.sunrise)),
-            ("first sun", _clock(report.day.first_sun)),
-            ("last sun", _clock(report.day.last_sun)),
-            ("sunset, level horizon", _clock(report.day.sunset)),
-            ("noon", f"{_clock(report.day.noon)}, {report.day.noon_altitude:.1f} degrees high"),
+            ("sunrise, level horizon", _format_time(report.day.sunrise)),
+            ("first sun", _format_time(report.day.first_sun)),
+            ("last sun", _format_time(report.day.last_sun)),
+            ("sunset, level horizon", _format_time(report.day.sunset)),
+            ("noon", f"{_format_time(report.day.noon)}, {report.day.noon_altitude:.1f} degrees high"),
             ("daylight", f"{report.day.daylight_h:.2f} h"),
             ("direct sun", f"{report.day.direct_h:.2f} h"),
             ("hidden", f"{report.day.masked_h:.2f} h"),
@@ -241,7 +241,9 @@ def _show(report: PointReport, with_now: bool) -> None:
         console.print(table)
         intervals = Table("sun from", "to", "hidden before by", "hidden after by", box=None)
         for each in report.day.sunlit:
-            intervals.add_row(_clock(each.begin), _clock(each.end), _caster(each.after), _caster(each.before))
+            intervals.add_row(
+                _format_time(each.begin), _format_time(each.end), _format_caster(each.after), _format_caster(each.before)
+            )
         if report.day.sunlit:
             console.print(intervals)
         if report.day.remark:
@@ -255,12 +257,12 @@ def _show(report: PointReport, with_now: bool) -> None:
         console.print(report.remark)
 
 
-def _show_rows(points: list[TrackPoint], rows: list[PointAnswerRow]) -> None:
+def _print_rows(points: list[TrackPoint], rows: list[PointAnswerRow]) -> None:
     from rich.table import Table
 
     table = Table("longitude", "latitude", "time", "ground, m", "sun", "direct sun, h", box=None)
     for point, row in zip(points, rows, strict=True):
-        sun = row.remark or ("" if row.now is None else _state(row.now.lit, row.now.altitude, row.now.by))
+        sun = row.remark or ("" if row.now is None else _format_state(row.now.lit, row.now.altitude, row.now.by))
         table.add_row(
             f"{point.lon_deg:.6f}", f"{point.lat_deg:.6f}", "" if point.time is None else point.time.isoformat(),
             "" if row.elevation_m is None else f"{row.elevation_m:.1f}", sun, "" if row.direct_h is None else f"{row.direct_h:.2f}",
@@ -268,13 +270,13 @@ def _show_rows(points: list[TrackPoint], rows: list[PointAnswerRow]) -> None:
     wide_console().print(table)
 
 
-def _state(lit: bool, altitude: float, by: ReportedCaster | None) -> str:
+def _format_state(lit: bool, altitude: float, by: ReportedCaster | None) -> str:
     if altitude <= 0.0:
         return _NIGHT
-    return _LIT if lit else f"{_DARK}, {_caster(by)}"
+    return _LIT if lit else f"{_DARK}, {_format_caster(by)}"
 
 
-def _caster(caster: ReportedCaster | None) -> str:
+def _format_caster(caster: ReportedCaster | None) -> str:
     if caster is None:
         return "-"
     away = f"{caster.distance_m / 1000.0:.1f} km" if caster.distance_m >= 1000.0 else f"{caster.distance_m:.0f} m"
@@ -282,5 +284,5 @@ def _caster(caster: ReportedCaster | None) -> str:
     return f"{caster.kind} {away} away{where}, {caster.height_m:.0f} m high"
 
 
-def _clock(moment: datetime | None) -> str:
+def _format_time(moment: datetime | None) -> str:
     return "-" if moment is None else f"{moment:%H:%M:%S}"

@@ -10,30 +10,30 @@ import typer
 from skugga.api.cli.completion import complete_words
 from skugga.api.products import PRODUCTS
 from skugga.api.products.product import Product, ProductOptions
-from skugga.api.shown_parameters import FunctionT, takes_parameters
+from skugga.api.signature_parameters import FunctionT, with_parameters
 from skugga.terrain.errors import InputError, Problem
 
 
 def with_product_options(products: Sequence[str], after: str) -> Callable[[FunctionT], FunctionT]:
-    """Decorate a command that takes ``**asked``: add the options of some products after its own option ``after``."""
+    """Decorate a command that takes ``**declared_options``: add the options of some products after its own option ``after``."""
     names = dict.fromkeys(name for product in products for name in PRODUCTS[product].options.model_fields)
-    return takes_parameters([(name, _product_option(name, products)) for name in names], after)
+    return with_parameters([(name, _product_option(name, products)) for name in names], after)
 
 
-def product_options(product: Product, asked: dict[str, Any]) -> tuple[ProductOptions, dict[str, Any]]:
+def split_product_options(product: Product, declared_options: dict[str, Any]) -> tuple[ProductOptions, dict[str, Any]]:
     """Split a command's options into those of a product and the remaining ones. Raises ``InputError``."""
     fields = product.options.model_fields
-    others = {name for each in PRODUCTS.values() for name in each.options.model_fields} - fields.keys()
-    for name in sorted(others):
-        if asked.get(name) is not None:
-            of = " or ".join(each.name for each in PRODUCTS.values() if name in each.options.model_fields)
-            raise InputError(_flag(name), Problem(f"is an option of {of}, not of {product.name}"), "Leave it out")
-    given = {name: value for name, value in asked.items() if name in fields and value is not None}
+    foreign_names = {name for each in PRODUCTS.values() for name in each.options.model_fields} - fields.keys()
+    for name in sorted(foreign_names):
+        if declared_options.get(name) is not None:
+            owners = " or ".join(each.name for each in PRODUCTS.values() if name in each.options.model_fields)
+            raise InputError(_flag(name), Problem(f"is an option of {owners}, not of {product.name}"), "Leave it out")
+    own_values = {name: value for name, value in declared_options.items() if name in fields and value is not None}
     try:
-        options = product.options_of(given)
+        options = product.options_of(own_values)
     except InputError as error:
         raise error.renamed(_flag(error.name)) from None
-    return options, {name: value for name, value in asked.items() if name not in fields and name not in others}
+    return options, {name: value for name, value in declared_options.items() if name not in fields and name not in foreign_names}
 
 
 def _flag(name: str) -> str:
@@ -42,11 +42,13 @@ def _flag(name: str) -> str:
 
 def _product_option(name: str, products: Sequence[str]) -> Any:
     """Return the annotation of a product option as a command option. Its value is text, which the product parses."""
-    of = [product for product in products if name in PRODUCTS[product].options.model_fields]
-    field = PRODUCTS[of[0]].options.model_fields[name]
+    owners = [product for product in products if name in PRODUCTS[product].options.model_fields]
+    field = PRODUCTS[owners[0]].options.model_fields[name]
     kinds = {*get_args(field.annotation), field.annotation}
-    of_type: Any = bool if bool in kinds else str
+    value_type: Any = bool if bool in kinds else str
     metavar = next((name_of for kind, name_of in ((int, "WHOLE"), (float, "NUMBER")) if kind in kinds), None)
-    about = f"{', '.join(of)}: {(field.description or '').replace('`', '')}"
+    help_text = f"{', '.join(owners)}: {(field.description or '').replace('`', '')}"
     words = [word for word in get_args(field.annotation) if isinstance(word, str)]
-    return Annotated[of_type | None, typer.Option(_flag(name), help=about, metavar=metavar, autocompletion=complete_words(words))]
+    return Annotated[
+        value_type | None, typer.Option(_flag(name), help=help_text, metavar=metavar, autocompletion=complete_words(words))
+    ]

@@ -58,7 +58,7 @@ class ProgressBar:
         self._bar[0].update(self._bar[1], completed=done)
 
 
-class LinesOverBar:
+class ProgressLines:
     """Lines on standard error, with a progress bar below them on a terminal once one unit is done. A context manager."""
 
     def __init__(self, task: str) -> None:
@@ -71,7 +71,7 @@ class LinesOverBar:
 
         return Console(stderr=True)
 
-    def __enter__(self) -> LinesOverBar:
+    def __enter__(self) -> ProgressLines:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -79,25 +79,25 @@ class LinesOverBar:
             self._bar[0].stop()
 
     @property
-    def on_terminal(self) -> bool:
+    def is_terminal(self) -> bool:
         """Whether standard error is a terminal."""
         return self._console.is_terminal
 
     def say(self, text: str) -> None:
         """Print a dim line on a terminal; print nothing elsewhere."""
-        if self.on_terminal:
+        if self.is_terminal:
             self._console.print(text, style="dim", highlight=False, markup=False)
 
     def line(self, text: str) -> None:
         """Print a line above the bar."""
-        if not self.on_terminal:
+        if not self.is_terminal:
             typer.echo(text, err=True)
         else:
             self._console.print(text, highlight=False, markup=False)
 
     def advance(self, done: int, total: int) -> None:
         """Set the number of finished units."""
-        if not self.on_terminal:
+        if not self.is_terminal:
             return
         if self._bar is None:
             from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

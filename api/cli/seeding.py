@@ -14,21 +14,21 @@ from rich import box
 from rich.console import Console
 
 from skugga.api.cli.outputs import check_targets
-from skugga.api.cli.product_parameters import product_options
-from skugga.api.cli.progress import LinesOverBar
+from skugga.api.cli.product_parameters import split_product_options
+from skugga.api.cli.progress import ProgressLines
 from skugga.api.cli.tables import named_table
-from skugga.api.cli.times import TIME_WORD, paths_by_time, suns_of
+from skugga.api.cli.times import TIME_WORD, paths_by_time, suns_from_options
 from skugga.api.matrices import ZoomRange
 from skugga.api.products import product_named
 from skugga.api.products.product import MapFormat
 from skugga.api.request import ProductRequest, RequestedSettings
 from skugga.api.seed.drawing import check_seeded_format
 from skugga.api.seed.local_pool import LocalPool, Runner
-from skugga.api.seed.messages import Drawn
+from skugga.api.seed.messages import TaskResult
 from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
 from skugga.api.seed.publishing import check_output
 from skugga.api.seed.running import TaskEnd
-from skugga.api.seed.seeding import Seeded, draw_and_publish, look_for_lost_shards
+from skugga.api.seed.seeding import SeedResult, draw_and_publish, requeue_lost_shards
 from skugga.api.seed.storage import ShardStore, store_at
 from skugga.api.seed.task_table import TaskTable
 from skugga.api.workers.block_tiles import BLOCK_TILES
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 TABLE = "tasks.sqlite"
 LOG = "log.jsonl"
 
-USUAL_TILE_BYTES = {"color": 84_000, "shadow": 13_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
+ASSUMED_TILE_BYTES = {"color": 84_000, "shadow": 13_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
 """Assumed bytes of a PNG tile full of relief until tiles are measured: colour from mountains (docs/scale.md), others guessed."""
 
 
@@ -75,13 +75,15 @@ class SeedOptions:
     as_json: bool
 
 
-def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) -> None:
+def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[str, Any]) -> None:
     """Render a level's tiles in advance, or print a forecast (``dry_run``). Raises ``SkuggaError`` and ``OSError``."""
     check_seeded_format(options.layer, options.format)
-    if asked.get("algorithm") is not None:
-        parse_algorithm(asked["algorithm"], "--algorithm", names=served_algorithms())
+    if declared_options.get("algorithm") is not None:
+        parse_algorithm(declared_options["algorithm"], "--algorithm", names=served_algorithms())
     suns = tuple(
-        suns_of(parse_sun(options.time, options.azimuth, options.altitude), options.times, options.start, options.end, options.step)
+        suns_from_options(
+            parse_sun(options.time, options.azimuth, options.altitude), options.times, options.start, options.end, options.step
+        )
     )
     if len(suns) > 1 and product_named(options.layer).when == "none":
         raise InputError("--layer", options.layer, "a layer that changes with the sun, for several times")
@@ -90,31 +92,31 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
         check_output(path)
     check_targets(level, [("--output", path) for path in paths])
     level = level.model_copy(update={"path": level.path.resolve()})
-    options_given, overrides = product_options(product_named(options.layer), asked)
-    wanted = ProductRequest(product=options.layer, options=options_given, overrides=RequestedSettings.of(overrides))
-    request = SeedRequest(level, _zooms(options.zooms), suns, wanted, cast(MapFormat, options.format))
+    layer_options, overrides = split_product_options(product_named(options.layer), declared_options)
+    product_request = ProductRequest(product=options.layer, options=layer_options, overrides=RequestedSettings.of(overrides))
+    request = SeedRequest(level, _zooms(options.zooms), suns, product_request, cast(MapFormat, options.format))
     work = options.work or options.output.with_name(options.output.name.replace(TIME_WORD, "times") + ".seed")
     shards = options.shards or str(work.resolve() / "shards")
     store = store_at(shards)
     if options.scheduler is not None and options.workers is not None:
         raise InputError.conflict("--workers", "--scheduler", "Leave out --workers: the cluster has its own")
-    with TaskTable(work / TABLE) as table, _Shown(work / LOG, options.as_json) as shown:
+    with TaskTable(work / TABLE) as table, _RunProgress(work / LOG, options.as_json) as progress:
         workers = _Workers(options)
         if table.get("spec") is None and not options.dry_run:
             workers.warm_up()  # in parallel with the planning of a new run, which has tasks
         try:
-            run = plan_run(table, request, shown.say)
+            run = plan_run(table, request, progress.say)
             outputs = dict(zip(run.sun_names, paths, strict=True))
             if options.dry_run:
-                _outlook(table, run, store, options)
+                _print_forecast(table, run, store, options)
                 return
             done = draw_and_publish(
-                table, run, store, shards, outputs, lambda: workers.begin(run, shards), shown.note, options.max_tasks,
+                table, run, store, shards, outputs, lambda: workers.begin(run, shards), progress.note, options.max_tasks,
                 options.retry_failed, options.task_timeout,
             )  # fmt: skip
         finally:
             workers.close()
-        shown.end(done, table)
+        progress.end(done, table)
 
 
 class _Workers:
@@ -151,20 +153,20 @@ class _Workers:
 def _zooms(text: str | None) -> ZoomRange | None:
     if text is None:
         return None
-    found = re.fullmatch(r"(\d{1,2})(?:-(\d{1,2}))?", text.strip())
-    if not found or int(found[1]) > int(found[2] or found[1]):
+    match = re.fullmatch(r"(\d{1,2})(?:-(\d{1,2}))?", text.strip())
+    if not match or int(match[1]) > int(match[2] or match[1]):
         raise InputError("--zooms", text, "one zoom or a range of two, the lower one first, such as 8-13")
-    return ZoomRange(int(found[1]), int(found[2] or found[1]))
+    return ZoomRange(int(match[1]), int(match[2] or match[1]))
 
 
-def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: SeedOptions) -> None:
+def _print_forecast(table: TaskTable, run: PlannedRun, store: ShardStore, options: SeedOptions) -> None:
     """Print the tasks that would run, their reasons, and their expected time and size."""
-    look_for_lost_shards(table, store)
+    requeue_lost_shards(table, store)
     measured = table.measured()
     rows: list[dict[str, Any]] = []
     for sun, zoom, why, count, full, seconds in table.outlook():
-        usual = USUAL_TILE_BYTES.get(run.spec.layer, USUAL_TILE_BYTES["color"]) * min(4**zoom, BLOCK_TILES**2)
-        full_bytes = measured[zoom][1] if zoom in measured else usual
+        assumed_bytes = ASSUMED_TILE_BYTES.get(run.spec.layer, ASSUMED_TILE_BYTES["color"]) * min(4**zoom, BLOCK_TILES**2)
+        full_bytes = measured[zoom][1] if zoom in measured else assumed_bytes
         rows.append({
             "sun": sun, "zoom": zoom, "why": why, "tasks": count, "seconds": round(seconds, 1), "bytes": int(full * full_bytes),
             "measured": zoom in measured,
@@ -175,17 +177,17 @@ def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: Seed
     if options.as_json:
         typer.echo(json.dumps({"rows": rows, "total": total, "workers": workers, "states": counts}, indent=2))
         return
-    shown = named_table("sun", "zoom", "why", box=box.SIMPLE_HEAD)
+    text_table = named_table("sun", "zoom", "why", box=box.SIMPLE_HEAD)
     for name in ("tasks", "worker time", "bytes"):
-        shown.add_column(name, justify="right")
+        text_table.add_column(name, justify="right")
     for row in rows:
-        shown.add_row(
+        text_table.add_row(
             row["sun"] or "the level's", str(row["zoom"]), row["why"], str(row["tasks"]),
             ("" if row["measured"] else "about ") + format_duration(1000.0 * row["seconds"]), _format_bytes(row["bytes"]),
         )  # fmt: skip
     console = Console(width=None if sys.stdout.isatty() else 160)
     if rows:
-        console.print(shown)
+        console.print(text_table)
     wall = "" if options.scheduler else f", {format_duration(1000.0 * total['seconds'] / workers)} with {workers} workers"
     typer.echo(
         f"{total['tasks']:.0f} tasks would run: {format_duration(1000.0 * total['seconds'])} of worker time{wall}, "
@@ -201,15 +203,15 @@ def _format_bytes(count: float) -> str:
     return f"{count:.3g} TB"
 
 
-class _Shown:
+class _RunProgress:
     """Progress of a run: a line for each task, with a bar on a terminal; the same as JSON lines in a log file."""
 
     def __init__(self, log: Path, quiet: bool) -> None:
         self._log, self._quiet = log, quiet
-        self._lines = LinesOverBar("Drawing")
+        self._lines = ProgressLines("Drawing")
         self._file: IO[str] | None = None
 
-    def __enter__(self) -> _Shown:
+    def __enter__(self) -> _RunProgress:
         self._lines.__enter__()
         return self
 
@@ -226,43 +228,43 @@ class _Shown:
         """Report the end of a task."""
         task, outcome = done.task, done.outcome
         place = f"zoom {task.zoom} block {task.x},{task.y}"
-        said: dict[str, Any] = {"task": task.id, "zoom": task.zoom, "x": task.x, "y": task.y, "sun": task.sun}
-        if isinstance(outcome, Drawn):
-            said |= {
+        record: dict[str, Any] = {"task": task.id, "zoom": task.zoom, "x": task.x, "y": task.y, "sun": task.sun}
+        if isinstance(outcome, TaskResult):
+            record |= {
                 "seconds": round(outcome.seconds, 4), "encode_s": round(outcome.encode_s, 4), "bytes": outcome.nbytes,
                 "peak_bytes": outcome.peak_bytes, "worker": outcome.worker,
             }  # fmt: skip
             text = f"{outcome.seconds:.2f} s, {_format_bytes(outcome.nbytes)}, worker's peak {_format_bytes(outcome.peak_bytes)}"
         else:
-            said |= {"error": outcome.error}
+            record |= {"error": outcome.error}
             text = f"failed: {outcome.error}"
-        said |= {"done": done.done, "total": done.total}
-        self._write(said)
-        self._line(f"[{done.done}/{done.total}] {place}: {text}", done)
+        record |= {"done": done.done, "total": done.total}
+        self._write(record)
+        self._print_line(f"[{done.done}/{done.total}] {place}: {text}", done)
 
-    def end(self, seeded: Seeded, table: TaskTable) -> None:
+    def end(self, seeded: SeedResult, table: TaskTable) -> None:
         """Report the end of the run."""
         counts = table.counts()
-        said = {
+        record = {
             "drawn": seeded.drawn, "tasks": sum(counts.values()), "written": [str(path) for path in seeded.written],
             "drawing_s": round(seeded.drawing_s, 3), "publishing_s": round(seeded.publishing_s, 3),
         }  # fmt: skip
-        self._write(said)
+        self._write(record)
         if self._quiet:
-            typer.echo(json.dumps(said, indent=2))
+            typer.echo(json.dumps(record, indent=2))
             return
         for path in seeded.written:
             typer.echo(f"Wrote {path}.")
         if not seeded.written:
-            typer.echo(f"Nothing to do: all {said['tasks']} tasks are done, and the output is up to date.")
+            typer.echo(f"Nothing to do: all {record['tasks']} tasks are done, and the output is up to date.")
 
-    def _write(self, said: dict[str, Any]) -> None:
+    def _write(self, record: dict[str, Any]) -> None:
         if self._file is None:
             self._file = self._log.open("a", encoding="utf-8")
-        self._file.write(json.dumps(said) + "\n")
+        self._file.write(json.dumps(record) + "\n")
         self._file.flush()
 
-    def _line(self, text: str, done: TaskEnd) -> None:
+    def _print_line(self, text: str, done: TaskEnd) -> None:
         if not self._quiet:
             self._lines.line(text)
             self._lines.advance(done.done, done.total)

@@ -9,7 +9,7 @@ from typing import Any
 
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.times import paths_by_time
-from skugga.api.cli.warnings import say_own_sun, say_reach_beside, say_warnings, say_written
+from skugga.api.cli.warnings import print_default_sun, print_extent_warning, print_warnings, print_written_files
 from skugga.api.compute import OnBlock, write_rasters
 from skugga.api.products.visibility import VISIBILITY
 from skugga.api.raster_file import RasterCells
@@ -19,7 +19,7 @@ from skugga.api.stac_item import read_stac_item
 from skugga.terrain.compiling.ahead_of_time import MAPS_OF_CASTERS, MASKS, PICTURES, SUN_HOURS
 from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.errors import InputError, Problem
-from skugga.terrain.gbuffer.supersampling import is_bare
+from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.level.level import load_level, spelt
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
@@ -29,7 +29,7 @@ SUFFIXES = ".tif", ".tiff"
 
 
 @dataclass(frozen=True)
-class RasterPlace:
+class OutputGrid:
     """Extent and grid of an output raster, as arguments of ``raster_view``. All ``None`` selects the level's own grid.
 
     Attributes
@@ -54,7 +54,7 @@ def write_product(
     level: LevelSource,
     output: Path,
     requests: Sequence[ProductRequest],
-    place: RasterPlace,
+    place: OutputGrid,
     overrides: dict[str, Any],
     on_step: OnBlock | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
@@ -63,37 +63,37 @@ def write_product(
     product, suns = requests[0].record, [request.sun for request in requests]
     for name, value in overrides.items():
         if value is not None and product.when != "sun":
-            said = spelt(value) if name == "algorithm" else value
-            reason = f"'{said}' does not apply to {product.name}, which has no shadows"
+            value_text = spelt(value) if name == "algorithm" else value
+            reason = f"'{value_text}' does not apply to {product.name}, which has no shadows"
             raise InputError(f"--{name.replace('_', '-')}", Problem(reason), "Leave it out")
-    paths = files_of(output, suns)
-    others = [] if contours is None else [("--contours", contours[0])]
+    paths = output_paths(output, suns)
+    contour_targets = [] if contours is None else [("--contours", contours[0])]
     like = place.like if isinstance(place.like, Path) else None
-    check_targets(level, [*(("--output", path) for path in paths), *others], like)
+    check_targets(level, [*(("--output", path) for path in paths), *contour_targets], like)
     declare_product(SUN_HOURS if product.when == "days" else MASKS if product.needs == VISIBILITY else PICTURES)
     scene = build_scene(load_level(level))
-    if not is_bare(scene) and product.when != "days":
+    if not is_terrain_only(scene) and product.when != "days":
         declare_product(MAPS_OF_CASTERS)
-    say_warnings(scene)
+    print_warnings(scene)
     try:
         raster = raster_view(scene, place.bounds, place.crs, place.resolution, place.like)
         if place.like is not None:
-            say_reach_beside(scene, raster)
+            print_extent_warning(scene, raster)
         if product.when == "sun" and None in suns:
-            say_own_sun(scene)
+            print_default_sun(scene)
         write_rasters(scene, raster, requests, paths, overrides, on_step, contours)
         about, unit = product.about_of(requests[0].options)
-        say_written(paths, f"{product.name}, {about}" + (f" ({unit})" if len(unit) > 1 or unit.isalpha() else ""), raster)
+        print_written_files(paths, f"{product.name}, {about}" + (f" ({unit})" if len(unit) > 1 or unit.isalpha() else ""), raster)
     finally:
         scene.close()
 
 
-def scene_of_item(
-    stac: Path, suns: Sequence[SunSpec | None], like: Path | None, free: bool
+def sun_and_grid_of_item(
+    stac: Path, suns: Sequence[SunSpec | None], like: Path | None, uses_item_grid: bool
 ) -> tuple[Sequence[SunSpec | None], Path | RasterCells | None]:
     """Return the sun and the grid of a STAC item.
 
-    ``like`` takes precedence over the item's grid, and so do other options that set the grid (``free`` is false then).
+    ``like`` takes precedence over the item's grid, and so do other options that set the grid (``uses_item_grid`` is false then).
     Raises ``InputError`` if other options set the time too.
     """
     item = read_stac_item(stac)
@@ -101,10 +101,10 @@ def scene_of_item(
         raise InputError.conflict(
             "--stac", "--time, --times, --from or --azimuth", "Use one of them: the item sets the time or the sun"
         )
-    return [item.sun], item.cells if free and like is None else like
+    return [item.sun], item.cells if uses_item_grid and like is None else like
 
 
-def files_of(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
+def output_paths(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
     """Return the path for each sun. Raises ``InputError``, and ``FileNotFoundError`` if the folder does not exist."""
     if output.suffix.lower() not in SUFFIXES:
         raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(SUFFIXES)}")

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from skugga.api.cli.warnings import say_own_sun, say_warnings
-from skugga.api.compute import Computed, compute, plan_for
+from skugga.api.cli.warnings import print_default_sun, print_warnings
+from skugga.api.compute import ComputedProduct, compute, plan_for
 from skugga.api.encoding import ARRAY_FORMATS, as_picture, colored, encode_exactly
 from skugga.api.picture_cost import check_cost, time_limit_ms
 from skugga.api.request import ProductRequest
@@ -25,11 +25,11 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
-MOST_SECONDS = 1e9
+MAX_SECONDS = 1e9
 """Largest absolute reading of a level's clock, as in level files."""
 
 
-Look = tuple[str | None, float | None]
+StyleOverrides = tuple[str | None, float | None]
 """Name of a style, and factor of slope exaggeration; ``None`` keeps the level's value."""
 
 
@@ -50,7 +50,7 @@ class Snapshot:
     scene: Scene
     view: MapView | PerspectiveView
     plan: Plan | None
-    computed: Computed
+    computed: ComputedProduct
 
     def write(self, request: ProductRequest, path: Path) -> None:
         """Write the snapshot in the format of the suffix. A GeoTIFF of a map view is georeferenced."""
@@ -73,21 +73,21 @@ def snapshot(
     seconds: float | None = None,
     light: str | None = None,
     max_ms: float | None = None,
-    look: Look = (None, None),
+    style_overrides: StyleOverrides = (None, None),
 ) -> Snapshot:
     """Compute a product of a level's view.
 
-    The request sets the sun, ``look`` the style. Raises ``SkuggaError``, also if a block or a view is expected to take longer
-    than ``max_ms``, or without that longer than the time limit of a service.
+    The request sets the sun, ``style_overrides`` the style. Raises ``SkuggaError``, also if a block or a view is expected to take
+    longer than ``max_ms``, or without that longer than the time limit of a service.
     """
     scene, view_value = scene_and_view(level, view, request.sun, size, bounds, crs, seconds)
     if request.sun is None and request.record.when == "sun":
-        say_own_sun(scene)
-    scene = scene.with_style(*look)
+        print_default_sun(scene)
+    scene = scene.with_style(*style_overrides)
     plan = plan_for(scene, view_value, view, request.record, overrides)
     if plan is not None:
-        most_ms = time_limit_ms() if max_ms is None else max_ms
-        check_cost(plan, "a block of the map" if isinstance(view_value, MapView) else "the view", most_ms, "--max-ms")
+        limit_ms = time_limit_ms() if max_ms is None else max_ms
+        check_cost(plan, "a block of the map" if isinstance(view_value, MapView) else "the view", limit_ms, "--max-ms")
     return Snapshot(scene, view_value, plan, compute(scene, view_value, request, plan, light, on_block))
 
 
@@ -105,7 +105,7 @@ def scene_and_view(
     loaded = load_level(level)
     need_for_view(loaded, view)
     scene = build_scene(loaded).with_sun(sun).at_second(seconds)
-    say_warnings(scene)
+    print_warnings(scene)
     return scene, scene.view(view, bounds, crs, size)
 
 
@@ -120,18 +120,18 @@ def need_for_view(loaded: LoadedLevel, view: str) -> None:
 
 def check_seconds(seconds: float | None) -> None:
     """Raise ``InputError`` for a reading outside the range of a level's clock."""
-    if seconds is not None and not abs(seconds) <= MOST_SECONDS:
-        raise InputError("--seconds", seconds, f"{-MOST_SECONDS:g} to {MOST_SECONDS:g} seconds")
+    if seconds is not None and not abs(seconds) <= MAX_SECONDS:
+        raise InputError("--seconds", seconds, f"{-MAX_SECONDS:g} to {MAX_SECONDS:g} seconds")
 
 
-def statistics(found: Snapshot) -> dict[str, Any]:
+def statistics(result: Snapshot) -> dict[str, Any]:
     """Return the content of ``--stats``: plan, passes with milliseconds, caster reach, sun, view and device."""
     from skugga.terrain.gl import device as gl
 
-    used_gl, sun, computed = gl.is_open(), found.scene.sun, found.computed
+    used_gl, sun, computed = gl.is_open(), result.scene.sun, result.computed
     return {
-        "level": found.scene.loaded.name,
-        "plan": None if found.plan is None else found.plan.model_dump(mode="json"),
+        "level": result.scene.loaded.name,
+        "plan": None if result.plan is None else result.plan.model_dump(mode="json"),
         "effects": sorted(executed_effects(computed.passes)),
         "passes": [asdict(record) for record in computed.passes],
         "ms": sum(record.ms for record in computed.passes),
@@ -139,12 +139,12 @@ def statistics(found: Snapshot) -> dict[str, Any]:
         "sun": None
         if sun is None
         else {"azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg, "time": sun.time and sun.time.isoformat()},
-        "view": _view(found.view),
+        "view": _view_facts(result.view),
         "device": {"renderer": gl.device().renderer, "version": gl.device().version} if used_gl else None,
     }
 
 
-def _view(view: MapView | PerspectiveView) -> dict[str, Any]:
+def _view_facts(view: MapView | PerspectiveView) -> dict[str, Any]:
     size = [view.cols, view.rows]
     if isinstance(view, MapView):
         return {"crs": view.grid.crs.to_string(), "bounds": view.bounds, "size": size, "node_step": view.grid.step}

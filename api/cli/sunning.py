@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import timedelta
 from pathlib import Path
 
-from skugga.api.cli.times import duration_of
+from skugga.api.cli.times import read_duration
 from skugga.api.products.sun_hours import NAME, QUANTITIES, SunHoursOptions
 from skugga.api.request import ProductRequest
 from skugga.terrain.errors import InputError
@@ -24,20 +24,20 @@ def sun_hours_request(
     step, threshold, least_altitude, height = rules
     if quantity not in QUANTITIES:
         raise InputError("--quantity", quantity, ", ".join(QUANTITIES))
-    minutes = None if step == "auto" else duration_of("--step", step) / timedelta(minutes=1)
+    minutes = None if step == "auto" else read_duration("--step", step) / timedelta(minutes=1)
     if minutes is not None and not 0.5 <= minutes <= 60.0:
         raise InputError("--step", step, "30s to 1h, or auto")
     if not -1.0 <= least_altitude < 90.0:
         raise InputError("--least-altitude", least_altitude, "-1 to 90 degrees above the horizon")
     if not 0.0 <= height <= 1000.0:
         raise InputError("--height", height, "0 to 1000 metres above the ground")
-    hours = duration_of("--threshold", threshold) / timedelta(hours=1)
+    hours = read_duration("--threshold", threshold) / timedelta(hours=1)
     if not hours <= 24.0:
         raise InputError("--threshold", threshold, "at most 24h")
     parse_clock("--clock", clock), parse_window(window)
     first = parse_date("--date", dates[0])
     last = None if dates[1] is None else parse_date("--to", dates[1])
-    every = duration_of("--every", dates[2])
+    every = read_duration("--every", dates[2])
     if every % timedelta(days=1):
         raise InputError("--every", dates[2], "whole days, such as 7d")
     options = SunHoursOptions(

@@ -11,13 +11,13 @@ from skugga.terrain.level.durations import ALLOWED_DURATIONS, parse_duration
 from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.parts import SunSpec
 
-MOST_TIMES = 10_000
+MAX_TIMES = 10_000
 
 TIME_WORD = "{time}"
 """Placeholder of the time in a file name."""
 
 
-def suns_of(
+def suns_from_options(
     sun: SunSpec | None, times: str | None, start: str | None, end: str | None, step: str | None
 ) -> Sequence[SunSpec | None]:
     """Return the suns of ``--times``, or of ``--from``, ``--to`` (inclusive) and ``--step``.
@@ -25,22 +25,26 @@ def suns_of(
     Without these, return ``sun`` alone (``None`` means the level's default sun). Raises ``InputError``.
     """
     steps = {"--from": start, "--to": end, "--step": step}
-    given = [name for name, value in steps.items() if value is not None]
-    ways = [*(["--time or --azimuth"] if sun is not None else []), *(["--times"] if times is not None else []), *given[:1]]
-    if len(ways) > 1:
-        raise InputError.conflict(ways[1], ways[0])
+    used_steps = [name for name, value in steps.items() if value is not None]
+    used_options = [
+        *(["--time or --azimuth"] if sun is not None else []),
+        *(["--times"] if times is not None else []),
+        *used_steps[:1],
+    ]
+    if len(used_options) > 1:
+        raise InputError.conflict(used_options[1], used_options[0])
     if times is not None:
         return [parse_sun(text, None, None) for text in times.split(",")]
-    if not given:
+    if not used_steps:
         return [sun]
     if start is None or end is None or step is None:
         missing = next(name for name, value in steps.items() if value is None)
         raise InputError.missing(missing, "Give --from, --to and --step together")
-    first, last = (_moment(name, text) for name, text in (("--from", start), ("--to", end)))
-    every = duration_of("--step", step)
+    first, last = (_read_time(name, text) for name, text in (("--from", start), ("--to", end)))
+    every = read_duration("--step", step)
     count = (last - first) // every + 1
-    if not 1 <= count <= MOST_TIMES:
-        raise InputError("--to", end, f"a time that makes 1 to {MOST_TIMES} steps of {step} after --from, not {count}")
+    if not 1 <= count <= MAX_TIMES:
+        raise InputError("--to", end, f"a time that makes 1 to {MAX_TIMES} steps of {step} after --from, not {count}")
     return [SunSpec(time=first + n * every) for n in range(count)]
 
 
@@ -61,7 +65,7 @@ def paths_by_time(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
     return paths
 
 
-def _moment(name: str, text: str) -> datetime:
+def _read_time(name: str, text: str) -> datetime:
     try:
         sun = parse_sun(text, None, None)
     except InputError as error:
@@ -70,12 +74,12 @@ def _moment(name: str, text: str) -> datetime:
     return sun.time
 
 
-def duration_of(name: str, text: str, least_s: float = 1.0) -> timedelta:
+def read_duration(name: str, text: str, min_s: float = 1.0) -> timedelta:
     """Return a duration from text such as 15m. Raises ``InputError``, which names the option."""
     try:
         length = parse_duration(text)
     except ValueError:
         length = timedelta(0)
-    if length < timedelta(seconds=least_s):
-        raise InputError(name, text, f"{ALLOWED_DURATIONS}; at least {least_s:g}s")
+    if length < timedelta(seconds=min_s):
+        raise InputError(name, text, f"{ALLOWED_DURATIONS}; at least {min_s:g}s")
     return length

@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from skugga.api.raster_view import RasterView
 
 
-def say_warnings(scene: Scene, with_objects: bool = True) -> None:
+def print_warnings(scene: Scene, with_objects: bool = True) -> None:
     """Print a line for each warning on the ground and, if ``with_objects``, on objects, whose files are read for this."""
     on_objects = scene.objects.warnings if with_objects else ()
     for text in (*(f"{scene.elevation.name}: {text}" for text in scene.warnings), *on_objects):
         typer.echo(printable(f"skugga: warning: {text}"), err=True)
 
 
-def say_reach_beside(scene: Scene, raster: RasterView) -> None:
+def print_extent_warning(scene: Scene, raster: RasterView) -> None:
     """Print a warning if a raster extends beyond the level; its cells are empty there."""
-    from skugga.api.raster_view import reach_beside
+    from skugga.api.raster_view import extent_warning
 
-    if (text := reach_beside(scene, raster)) is not None:
+    if (text := extent_warning(scene, raster)) is not None:
         typer.echo(printable(f"skugga: warning: {text}"), err=True)
 
 
-def say_own_sun(scene: Scene) -> None:
+def print_default_sun(scene: Scene) -> None:
     """Print which default sun is used, because a picture does not show that no one chose it.
 
     The note is printed on a terminal, and everywhere if the level sets no sun.
@@ -43,7 +43,7 @@ def say_own_sun(scene: Scene) -> None:
         typer.echo(printable(f"skugga: {said}"), err=True)
 
 
-def say_written(paths: Sequence[Path], what: str, raster: RasterView) -> None:
+def print_written_files(paths: Sequence[Path], what: str, raster: RasterView) -> None:
     """Print one line on the written files, on a terminal only."""
     if sys.stderr.isatty():
         names = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files, {paths[0]} to {paths[-1].name}"

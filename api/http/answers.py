@@ -17,23 +17,23 @@ VERSION = version("skugga")
 
 JSON_MEDIA = "application/json"
 
-OWN_SUN_S = 3600
+DEFAULT_SUN_FRESH_S = 3600
 """Freshness lifetime of a picture under the level's own sun. It is short since the operator may change that sun."""
 
-GIVEN_SUN_S = 86400
+REQUESTED_SUN_FRESH_S = 86400
 """Freshness lifetime of a picture whose request names the sun.
 
 It is not `immutable`: the level's data may still change, and revalidation costs no rendering."""
 
-FACTS_S = 60
+METADATA_FRESH_S = 60
 """Freshness lifetime of metadata of levels."""
 
-LEAST_PACKED_BYTES, GZIP_LEVEL = 16 * 1024, 4
+MIN_GZIP_BYTES, GZIP_LEVEL = 16 * 1024, 4
 """Smallest document that is compressed, and the level of gzip.
 
 Capabilities of many levels have half a megabyte; gzip reduces them to a twentieth."""
 
-ABSENT_S = 86400
+STALE_IF_ERROR_S = 86400
 """Duration of ``stale-if-error``: caches may send a stale answer for so long while the service is down."""
 
 EXPOSED_HEADERS = (
@@ -63,7 +63,7 @@ class ExpectedTime:
         return {"X-Skugga-Expected-Time": f"wait={self.wait_s:.1f}; work={self.work_s:.1f}"}
 
 
-def tag_of(*parts: object) -> str:
+def entity_tag(*parts: object) -> str:
     """Return a strong entity tag of all parts that an answer depends on, and of this package's version."""
     return f'"{hashlib.sha256(repr((VERSION, *parts)).encode()).hexdigest()[:32]}"'
 
@@ -77,37 +77,39 @@ def is_fresh(request: Request, tag: str) -> bool:
 def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
     """Return the headers ``ETag`` and ``Cache-Control`` of an answer that stays fresh for ``fresh_s`` seconds.
 
-    Caches may send a stale answer for the same time while they revalidate, and for ``ABSENT_S`` seconds on errors (RFC 5861).
-    Answers that are fresh for less than an hour are never sent stale. They depend on the clock, on the present levels, or on a
-    pending calibration or probe.
+    Caches may send a stale answer for the same time while they revalidate, and for ``STALE_IF_ERROR_S`` seconds on errors (RFC
+    5861). Answers that are fresh for less than an hour are never sent stale. They depend on the clock, on the present levels, or on
+    a pending calibration or probe.
     """
-    later = f", stale-while-revalidate={fresh_s}, stale-if-error={ABSENT_S}" if fresh_s >= OWN_SUN_S else ""
-    return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}{later}"}
+    stale_directives = (
+        f", stale-while-revalidate={fresh_s}, stale-if-error={STALE_IF_ERROR_S}" if fresh_s >= DEFAULT_SUN_FRESH_S else ""
+    )
+    return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}{stale_directives}"}
 
 
-def wants_page(request: Request) -> bool:
+def wants_html(request: Request) -> bool:
     """Return whether the client is a browser: its ``Accept`` header names HTML and does not name JSON."""
     accepted = request.headers.get("accept", "")
     return "text/html" in accepted and "application/json" not in accepted
 
 
-def json_answer(request: Request, value: object, **more: str) -> Response:
-    """Return a JSON answer with ``more`` headers, or 304 if the client's copy is current."""
-    return document_answer(request, bytes(JSONResponse(value).body), JSON_MEDIA, **more)
+def json_answer(request: Request, value: object, **extra_headers: str) -> Response:
+    """Return a JSON answer with ``extra_headers`` headers, or 304 if the client's copy is current."""
+    return document_answer(request, bytes(JSONResponse(value).body), JSON_MEDIA, **extra_headers)
 
 
-def document_answer(request: Request, body: bytes, media_type: str, **more: str) -> Response:
-    """Return a document with ``more`` headers, or 304 if the client's copy is current.
+def document_answer(request: Request, body: bytes, media_type: str, **extra_headers: str) -> Response:
+    """Return a document with ``extra_headers`` headers, or 304 if the client's copy is current.
 
     A long document is compressed for clients that accept gzip. The compressed form has a different entity tag.
     """
-    packed = len(body) >= LEAST_PACKED_BYTES and _takes_gzip(request)
-    vary = ", ".join(filter(None, (more.pop("Vary", ""), "Accept-Encoding"))) if len(body) >= LEAST_PACKED_BYTES else None
-    more |= {} if vary is None else {"Vary": vary}
-    headers = cache_headers(tag_of(body, "gzip") if packed else tag_of(body), FACTS_S) | more
+    is_compressed = len(body) >= MIN_GZIP_BYTES and _takes_gzip(request)
+    vary = ", ".join(filter(None, (extra_headers.pop("Vary", ""), "Accept-Encoding"))) if len(body) >= MIN_GZIP_BYTES else None
+    extra_headers |= {} if vary is None else {"Vary": vary}
+    headers = cache_headers(entity_tag(body, "gzip") if is_compressed else entity_tag(body), METADATA_FRESH_S) | extra_headers
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    if packed:
+    if is_compressed:
         body, headers["Content-Encoding"] = gzip.compress(body, GZIP_LEVEL, mtime=0), "gzip"
     return Response(body, headers=headers, media_type=media_type)
 
@@ -126,7 +128,7 @@ def base_url(request: Request, public_url: str | None) -> str:
     return (public_url or str(request.base_url)).rstrip("/")
 
 
-def drawn_headers(drawn: BlockTiles | Snapshot, subject: str, kept: bool, encode_ms: float) -> dict[str, str]:
+def render_headers(drawn: BlockTiles | Snapshot, subject: str, kept: bool, encode_ms: float) -> dict[str, str]:
     """Return headers with the render passes of a picture, whether it came from the cache, and its caster reach.
 
     ``subject`` is the kind of picture: a block or a snapshot. Pass names become tokens: hyphens replace runs of other

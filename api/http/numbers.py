@@ -35,7 +35,7 @@ def _whole_or_word(value: Any) -> Any:
     return int(value) if isinstance(value, str) and _WHOLE.fullmatch(value) else value
 
 
-def decimal_in(text: str) -> float | None:
+def parse_decimal(text: str) -> float | None:
     """Return the finite number in a text, spelt as in queries; ``None`` if the text is anything else."""
     number = float(text) if _DECIMAL.fullmatch(text.strip()) else math.inf
     return number if math.isfinite(number) else None

@@ -13,13 +13,13 @@ from fastapi import Depends, Query, Request
 from pydantic import BeforeValidator
 from pydantic.fields import FieldInfo
 
-from skugga.api.http.moments import PLAIN_DATE, asked_sun
 from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
+from skugga.api.http.request_times import PLAIN_DATE, request_sun
 from skugga.api.http.state.service import service_of
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS, VIEW_PRODUCTS, product_named
 from skugga.api.products.product import Product
 from skugga.api.request import PictureRequest, ProductRequest, RequestedSettings
-from skugga.api.shown_parameters import FunctionT, takes_parameters, takes_settings
+from skugga.api.signature_parameters import FunctionT, with_parameters, with_shadow_settings
 from skugga.api.workers.jobs import ServedPolicy
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.algorithm_names import served_algorithms
@@ -76,7 +76,7 @@ AzimuthQuery = Annotated[
 ]
 AltitudeQuery = Annotated[float | None, PLAIN_DECIMAL, Query(description="Apparent degrees above the horizon.", examples=[22])]
 
-OWN_STYLE = "default"
+DEFAULT_STYLE = "default"
 """The name of the level's own style, for map clients that require a name."""
 
 StyleQuery = Annotated[
@@ -84,8 +84,8 @@ StyleQuery = Annotated[
     Query(
         description="How relief is shaded: "
         + "; ".join(f"`{style.name}`: {style.about}" for style in STYLES.values())
-        + f". `{OWN_STYLE}`, or nothing: the level's own.",
-        json_schema_extra={"enum": [OWN_STYLE, *STYLES]},
+        + f". `{DEFAULT_STYLE}`, or nothing: the level's own.",
+        json_schema_extra={"enum": [DEFAULT_STYLE, *STYLES]},
         examples=["swiss"],
     ),
 ]
@@ -101,10 +101,10 @@ SlopeExaggerationQuery = Annotated[
 
 def style_named(name: str | None, parameter: str = "style") -> StyleName | None:
     """Return the style of a request; ``None`` means the level's own. Raises ``InputError`` for an unknown name."""
-    if name is None or name == OWN_STYLE:
+    if name is None or name == DEFAULT_STYLE:
         return None
     if name not in STYLES:
-        raise InputError(parameter, name, ", ".join((OWN_STYLE, *STYLES)))
+        raise InputError(parameter, name, ", ".join((DEFAULT_STYLE, *STYLES)))
     return cast(StyleName, name)
 
 
@@ -119,7 +119,7 @@ def _parameter(setting: Setting) -> Any:
     return Annotated[(asked | None, *numbers, Query(description=setting.about, examples=[setting.example]))]
 
 
-@takes_settings("pictures", _parameter)
+@with_shadow_settings("pictures", _parameter)
 async def picture_query(
     request: Request,
     time: TimeQuery = None,
@@ -130,7 +130,7 @@ async def picture_query(
     **asked: Any,
 ) -> PictureRequest:
     """Return the request for a picture (a FastAPI dependency). Raises ``InputError``."""
-    sun = asked_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
+    sun = request_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
     return PictureRequest(
         sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, overrides=served_settings(asked)
     )  # fmt: skip
@@ -140,10 +140,10 @@ async def sun_query(
     request: Request, time: TimeQuery = None, azimuth: AzimuthQuery = None, altitude: AltitudeQuery = None
 ) -> SunSpec | None:
     """Return the sun of a request (a FastAPI dependency); ``None`` means the level's own. Raises ``InputError``."""
-    return asked_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
+    return request_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
 
 
-@takes_settings("plans", _parameter)
+@with_shadow_settings("plans", _parameter)
 async def plan_query(
     policy: Annotated[
         str,
@@ -254,7 +254,7 @@ TILE_PARAMETERS = ("layer", *PICTURE_PARAMETERS, *PRODUCT_OPTIONS)
 def takes_options(*without: str) -> Callable[[FunctionT], FunctionT]:
     """Return a decorator for a dependency with ``**options``: it declares the options of all products, ``without`` some."""
     parameters = [(name, _product_parameter(name)) for name in PRODUCT_OPTIONS if name not in without]
-    return takes_parameters(parameters)
+    return with_parameters(parameters)
 
 
 async def product_query(request: Request, picture: PictureRequest, layer: str, options: dict[str, Any]) -> ProductRequest:

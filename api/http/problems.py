@@ -38,7 +38,7 @@ class Problem(BaseModel):
     preparing: dict[str, Any] | None = None
 
 
-OF_HTTP: dict[int, tuple[str, str]] = {
+HTTP_PROBLEMS: dict[int, tuple[str, str]] = {
     400: ("bad_request", "The request, or its body, cannot be read: it is not HTTP/1.1, or not JSON in UTF-8."),
     401: ("unauthorized", "A token is needed: Authorization: Bearer TOKEN."),
     404: ("not_found", "There is nothing at this address."),
@@ -80,7 +80,7 @@ class ProblemKind:
 def problem_kinds() -> list[ProblemKind]:
     """Return all kinds of problems in HTTP answers, in order of status.
 
-    They come from the table of ``skugga.api.errors`` and from ``OF_HTTP``. Errors with equal status and code are one kind.
+    They come from the table of ``skugga.api.errors`` and from ``HTTP_PROBLEMS``. Errors with equal status and code are one kind.
     """
     kinds: dict[tuple[int, str], ProblemKind] = {}
     for error, outcome in OUTCOMES.items():
@@ -88,14 +88,14 @@ def problem_kinds() -> list[ProblemKind]:
             continue
         about = outcome.public or " ".join(inspect.cleandoc(error.__doc__ or "").split("\n\n")[0].split())
         kinds.setdefault((outcome.status, outcome.code), ProblemKind(outcome.status, outcome.code, about, outcome.retry_after_s))
-    for status, (code, about) in OF_HTTP.items():
+    for status, (code, about) in HTTP_PROBLEMS.items():
         kinds.setdefault((status, code), ProblemKind(status, code, about))
     return sorted(kinds.values(), key=lambda kind: kind.status)
 
 
 def problem_of(status: int, detail: str | None = None, code: str | None = None, parameter: str | None = None) -> Problem:
     """Return a problem document. The defaults of ``detail`` and ``code`` are those of the status."""
-    own_code, own_detail = OF_HTTP.get(status, (HTTPStatus(status).name.lower(), HTTPStatus(status).phrase))
+    own_code, own_detail = HTTP_PROBLEMS.get(status, (HTTPStatus(status).name.lower(), HTTPStatus(status).phrase))
     return Problem(
         title=HTTPStatus(status).phrase, status=status, detail=detail or own_detail, code=code or own_code, parameter=parameter
     )

@@ -28,7 +28,7 @@ from skugga.api.raster_file import TILE
 from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.errors import InputError
 
-MOST_OVERVIEW_CELLS = 512
+MAX_OVERVIEW_CELLS = 512
 """Smallest size of the longer side of an overview of a temporary raster."""
 
 WITHOUT_OPENGL = next(
@@ -82,12 +82,12 @@ class SkuggaAccessor:
         if time is None and azimuth is None and altitude is None:
             raise InputError.missing("time", "Give a time, or an azimuth and an altitude")
 
-        def made(level: OpenLevel, **cells: Any) -> np.ndarray:
-            asked = {**({"algorithm": WITHOUT_OPENGL} if cells else {}), **shadows}
-            visibility = level.shade("visibility", time=time, azimuth=azimuth, altitude=altitude, **cells, **asked)
+        def compute_array(level: OpenLevel, **cells: Any) -> np.ndarray:
+            settings_by_key = {**({"algorithm": WITHOUT_OPENGL} if cells else {}), **shadows}
+            visibility = level.shade("visibility", time=time, azimuth=azimuth, altitude=altitude, **cells, **settings_by_key)
             return visibility < 0.5  # False for NaN, which are cells without ground
 
-        return self._answer("shadow", made, np.bool_)
+        return self._answer("shadow", compute_array, np.bool_)
 
     @checked
     def sun_hours(self, date: Date, **rules: Any) -> xarray.DataArray:
@@ -111,10 +111,10 @@ class SkuggaAccessor:
             For a wrong argument, and for an array that is not a grid of heights.
         """
 
-        def made(level: OpenLevel, **cells: Any) -> np.ndarray:
+        def compute_array(level: OpenLevel, **cells: Any) -> np.ndarray:
             return level.sun_hours(date, **cells, **rules)
 
-        return self._answer("sun_hours", made, np.float32)
+        return self._answer("sun_hours", compute_array, np.float32)
 
     @checked
     def horizon(self, x: float, y: float, height: float = 0.0) -> xarray.DataArray:
@@ -138,27 +138,27 @@ class SkuggaAccessor:
             For a wrong argument, and for an array that is not a grid of heights.
         """
         with upright_grid(self._array).level() as level:
-            found = level.horizon(x, y, height=height, crs=level.crs)
-        return xarray.DataArray(found.elevation_deg, dims="azimuth", coords={"azimuth": found.azimuth_deg}, name="horizon")
+            profile = level.horizon(x, y, height=height, crs=level.crs)
+        return xarray.DataArray(profile.elevation_deg, dims="azimuth", coords={"azimuth": profile.azimuth_deg}, name="horizon")
 
-    def _answer(self, name: str, made: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
-        """Return a DataArray on the array's coordinates, which ``made`` computes from an open level."""
+    def _answer(self, name: str, compute_array: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
+        """Return a DataArray on the array's coordinates, which ``compute_array`` computes from an open level."""
         grid = upright_grid(self._array)
         if grid.heights.chunks is None:
             with grid.level() as level:
-                values: Any = made(level)
+                values: Any = compute_array(level)
         else:
-            values = _by_chunk(grid, made, dtype)
+            values = _by_chunk(grid, compute_array, dtype)
         answer = xarray.DataArray(values, dims=grid.heights.dims, coords=grid.heights.coords, name=name)
         return answer.isel(grid.flips).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
 
 
-class _Staged:
+class _StagedRaster:
     """A temporary raster: dask writes all chunks to it, and then opens it as a level."""
 
     def __init__(self, grid: UprightGrid) -> None:
         folder = tempfile.mkdtemp(prefix="skugga-")
-        self._gone = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self._cleanup = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self.path = Path(folder) / "heights.tif"
         self._lock, self._levels = threading.Lock(), threading.local()
         rows, cols = grid.heights.shape
@@ -176,11 +176,11 @@ class _Staged:
                 return
             self._dataset.write(grid_of_heights(chunk), 1, window=window)
 
-    def finished(self, *_: Any) -> _Staged:
+    def finished(self, *_: Any) -> _StagedRaster:
         """Finish the raster after all chunks are written, and return self."""
         with self._lock:
             if not self._dataset.closed:
-                steps = [2**n for n in range(1, 20) if max(self._dataset.shape) / 2**n >= MOST_OVERVIEW_CELLS]
+                steps = [2**n for n in range(1, 20) if max(self._dataset.shape) / 2**n >= MAX_OVERVIEW_CELLS]
                 if steps:
                     self._dataset.build_overviews(steps, Resampling.average)
                 self._dataset.close()
@@ -194,17 +194,17 @@ class _Staged:
         return opened
 
 
-def _by_chunk(grid: UprightGrid, made: Callable[..., np.ndarray], dtype: type) -> Any:
+def _by_chunk(grid: UprightGrid, compute_array: Callable[..., np.ndarray], dtype: type) -> Any:
     import dask.array
     from dask.delayed import delayed
 
-    staged = _Staged(grid)
+    staged = _StagedRaster(grid)
     stored = dask.array.store(grid.heights.data, staged, lock=False, compute=False)  # type: ignore[arg-type]
     ready = delayed(staged.finished)(stored)
 
-    def chunk(ready: _Staged, block_info: Any = None) -> np.ndarray:
+    def chunk(ready: _StagedRaster, block_info: Any = None) -> np.ndarray:
         (top, bottom), (left, right) = block_info[None]["array-location"]
-        return made(ready.level(), cells=(slice(top, bottom), slice(left, right))).astype(dtype)
+        return compute_array(ready.level(), cells=(slice(top, bottom), slice(left, right))).astype(dtype)
 
     return dask.array.map_blocks(  # type: ignore[no-untyped-call]
         chunk, ready=ready, chunks=grid.heights.chunks, dtype=dtype, meta=np.empty((0, 0), dtype)

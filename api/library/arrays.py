@@ -59,10 +59,10 @@ def shadow(
     array([False, False,  True, False, False, False])
     """
     heights = cast(np.ndarray, height_m)
-    there = np.isfinite(heights)
+    valid = np.isfinite(heights)
     if altitude_deg <= 0.0:
-        return there
-    return there & ~sweep.sunlit(heights, cast(tuple[float, float], cell_m), azimuth_deg, altitude_deg, lines, cores)
+        return valid
+    return valid & ~sweep.sunlit(heights, cast(tuple[float, float], cell_m), azimuth_deg, altitude_deg, lines, cores)
 
 
 @checked
@@ -76,7 +76,8 @@ def sunlit(
 ) -> np.ndarray:
     """Return which nodes of a heightfield see the sun.
 
-    A sun below the horizon counts as any other sun; ``shadow`` treats it as night. Quads of the heightfield are split along their higher diagonals.
+    A sun below the horizon counts as any other sun; ``shadow`` treats it as night.
+    Quads of the heightfield are split along their higher diagonals.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ SHADOWS = "shadows"
 """Name of the parameter ``**shadows``, which takes the keys of a level's ``shadows``."""
 
 
-WORDS = {"path_type": "a path", "string_type": "a text"}
+ALLOWED_PHRASES = {"path_type": "a path", "string_type": "a text"}
 """Phrases of allowed values by pydantic's error types, for errors whose text is not meant for users."""
 
 
@@ -67,26 +67,26 @@ def checked(function: Callable[ParametersT, ResultT]) -> Callable[ParametersT, R
                 try:
                     bound.arguments[name] = adapters[name].validate_python(value)
                 except ValidationError as error:
-                    _refuse(error, {name: value}, name)
+                    _raise_input_error(error, {name: value}, name)
         try:
             return function(*bound.args, **bound.kwargs)
         except ValidationError as error:
-            _refuse(error, bound.arguments)
+            _raise_input_error(error, bound.arguments)
 
     return wrapper
 
 
-def _refuse(error: ValidationError, values: dict[str, Any], name: str | None = None) -> NoReturn:
+def _raise_input_error(error: ValidationError, values: dict[str, Any], name: str | None = None) -> NoReturn:
     """Raise an error of pydantic as an ``InputError`` of a parameter."""
     detail = error.errors()[0]
-    own = detail.get("ctx", {}).get("error")
-    if isinstance(own, SkuggaError):
-        raise own from None
+    cause = detail.get("ctx", {}).get("error")
+    if isinstance(cause, SkuggaError):
+        raise cause from None
     name = name or ".".join(str(part) for part in detail["loc"])
-    words = "; ".join(
-        dict.fromkeys(WORDS.get(each["type"], each["msg"].removeprefix("Input should be ")) for each in error.errors())
+    allowed = "; ".join(
+        dict.fromkeys(ALLOWED_PHRASES.get(each["type"], each["msg"].removeprefix("Input should be ")) for each in error.errors())
     )
-    raise InputError(name, values.get(name, detail["input"]), words) from None
+    raise InputError(name, values.get(name, detail["input"]), allowed) from None
 
 
 def _check_shadows(signature: inspect.Signature, keys: dict[str, Any]) -> None:

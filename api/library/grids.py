@@ -21,14 +21,14 @@ GRID_BYTES, SWEEP_BYTES, HORIZON_BYTES = 10, 15, 42
 They include the grid. They were measured on 25, 36 and 16 million cells.
 """
 
-SMALLER = (
+MEMORY_REMEDY = (
     "Use fewer cells, a GeoTIFF, which skugga.open_level reads in parts and `skugga shade` writes whole, or a dask array with the "
     "accessor `.skugga` of xarray"
 )
 """Remedy for heights that do not fit into memory."""
 
 
-def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_a_cell: float = GRID_BYTES) -> np.ndarray:
+def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_per_cell: float = GRID_BYTES) -> np.ndarray:
     """Return an array of heights as float32 (rows, cols), NaN without ground.
 
     Cells are without ground if they are masked, not finite, or beyond ``MAX_HEIGHT_M``. A float32 array without such cells is not
@@ -42,7 +42,7 @@ def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_a
         The name of the parameter, for errors.
     least
         The smallest number of rows and of columns.
-    bytes_a_cell
+    bytes_per_cell
         Bytes of memory that the work takes for each cell.
 
     Raises
@@ -54,7 +54,7 @@ def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_a
     """
     shape = getattr(values, "shape", None)
     if isinstance(shape, tuple) and len(shape) == 2 and all(isinstance(count, int) for count in shape):
-        check_memory(name, *shape, bytes_a_cell, SMALLER)
+        check_memory(name, *shape, bytes_per_cell, MEMORY_REMEDY)
     try:
         array = np.ma.asanyarray(values) if np.ma.isMaskedArray(values) else np.asarray(values)
     except Exception as error:  # objects that cannot become arrays raise any error
@@ -75,12 +75,12 @@ def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_a
     if mask is not np.ma.nomask:
         heights[mask] = np.nan
     with np.errstate(invalid="ignore"):
-        beyond = ~(np.abs(heights) <= MAX_HEIGHT_M)
-    return np.where(beyond, np.float32(np.nan), heights) if (beyond != np.isnan(heights)).any() else heights
+        invalid = ~(np.abs(heights) <= MAX_HEIGHT_M)
+    return np.where(invalid, np.float32(np.nan), heights) if (invalid != np.isnan(heights)).any() else heights
 
 
 Heights = Annotated[ArrayLike, PlainValidator(grid_of_heights)]
 """An array of heights in metres. The function receives a grid (``grid_of_heights``)."""
 
-SweptHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, least=2, bytes_a_cell=SWEEP_BYTES))]
-HorizonHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, least=2, bytes_a_cell=HORIZON_BYTES))]
+SweptHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, least=2, bytes_per_cell=SWEEP_BYTES))]
+HorizonHeights = Annotated[ArrayLike, PlainValidator(partial(grid_of_heights, least=2, bytes_per_cell=HORIZON_BYTES))]

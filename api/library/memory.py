@@ -21,7 +21,7 @@ def free_bytes() -> int | None:
     return min(_free(), default=None)
 
 
-def check_memory(name: str, rows: int, cols: int, bytes_a_cell: float, remedy: str) -> None:
+def check_memory(name: str, rows: int, cols: int, bytes_per_cell: float, remedy: str) -> None:
     """Raise an error for arrays that do not fit into memory.
 
     Parameters
@@ -30,7 +30,7 @@ def check_memory(name: str, rows: int, cols: int, bytes_a_cell: float, remedy: s
         The parameter that determines the number of cells.
     rows, cols
         The shape of the arrays.
-    bytes_a_cell
+    bytes_per_cell
         Bytes that the work takes for each cell.
     remedy
         A way to do the same in less memory, as a sentence without its full stop.
@@ -40,10 +40,10 @@ def check_memory(name: str, rows: int, cols: int, bytes_a_cell: float, remedy: s
     InputError
         If they do not fit.
     """
-    needed, free = rows * cols * bytes_a_cell, free_bytes()
+    needed, free = rows * cols * bytes_per_cell, free_bytes()
     if free is not None and needed > free:
-        fault = f"{rows} x {cols} cells take {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free"
-        raise InputError(name, Problem(fault), remedy)
+        problem = f"{rows} x {cols} cells take {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free"
+        raise InputError(name, Problem(problem), remedy)
 
 
 def _free() -> Iterator[int]:

@@ -20,7 +20,7 @@ from rasterio.io import MemoryFile
 from skugga.api.catalogue import find_level
 from skugga.api.compute import compute, plan_for, raster_array
 from skugga.api.device_calibration import calibration_for
-from skugga.api.film_span import USUAL_FPS, film_span
+from skugga.api.film_span import DEFAULT_FPS, film_span
 from skugga.api.library.checked import (
     AltitudeDeg,
     AnyCrs,
@@ -42,7 +42,7 @@ from skugga.api.library.checked import (
 from skugga.api.library.grids import Heights
 from skugga.api.library.memory import check_memory
 from skugga.api.library.tile_service import TileService
-from skugga.api.point.report import around_point, point_report
+from skugga.api.point.report import point_report, point_surroundings
 from skugga.api.point.values import PointQuery, PointReport
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
 from skugga.api.raster_view import RasterView, raster_view
@@ -64,7 +64,7 @@ ARRAY = "the array"
 SHADED_PRODUCTS = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
 """Raster products that depend on the sun of a moment."""
 
-SMALLER_PART = "Use a part, as cells=np.s_[:4096, :4096], or a file: `skugga shade` and `skugga sunhours` write rasters of any size"
+PART_REMEDY = "Use a part, as cells=np.s_[:4096, :4096], or a file: `skugga shade` and `skugga sunhours` write rasters of any size"
 
 
 class OpenLevel:
@@ -83,11 +83,11 @@ class OpenLevel:
     (4, 5)
     """
 
-    def __init__(self, scene: Scene, held: MemoryFile | None = None) -> None:
+    def __init__(self, scene: Scene, memory_file: MemoryFile | None = None) -> None:
         self._open: Scene | None = scene
-        self._held = held
-        self._own = raster_view(scene)
-        self._served: TileService | None = None
+        self._memory_file = memory_file
+        self._own_raster = raster_view(scene)
+        self._tile_service: TileService | None = None
         self._folder: TemporaryDirectory[str] | None = None
 
     @property
@@ -114,17 +114,17 @@ class OpenLevel:
     @property
     def crs(self) -> CRS:
         """The CRS of the level's own grid."""
-        return self._own.crs
+        return self._own_raster.crs
 
     @property
     def transform(self) -> Affine:
         """The geotransform of the level's own grid."""
-        return self._own.transform
+        return self._own_raster.transform
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the level's own grid."""
-        return self._own.shape
+        return self._own_raster.shape
 
     @checked
     def render(
@@ -173,8 +173,8 @@ class OpenLevel:
         Returns
         -------
         numpy.ndarray
-            uint8 (rows, cols, 4) for ``color`` and ``shadow``, uint8 (rows, cols) for ``mask``. ``skugga render --help`` describes the
-            others.
+            uint8 (rows, cols, 4) for ``color`` and ``shadow``, uint8 (rows, cols) for ``mask``. ``skugga render --help`` describes
+            the others.
 
         Raises
         ------
@@ -182,9 +182,9 @@ class OpenLevel:
             For a wrong argument, or if rendering fails.
         """
         scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration).at_second(seconds)
-        product, seen = product_named(layer), scene.view(view, bounds, _named(crs), size)
-        plan = plan_for(scene, seen, view, product, shadows)
-        return compute(scene, seen, ProductRequest(product=layer), plan).array
+        product, rendered_view = product_named(layer), scene.view(view, bounds, _crs_text(crs), size)
+        plan = plan_for(scene, rendered_view, view, product, shadows)
+        return compute(scene, rendered_view, ProductRequest(product=layer), plan).array
 
     @checked
     def film(
@@ -195,7 +195,7 @@ class OpenLevel:
         end: Time | None = None,
         step: str | None = None,
         path: Path | None = None,
-        fps: float = USUAL_FPS,
+        fps: float = DEFAULT_FPS,
         time: Time | None = None,
         azimuth: AzimuthDeg | None = None,
         altitude: AltitudeDeg | None = None,
@@ -216,8 +216,8 @@ class OpenLevel:
         view
             The name of a view.
         start, end
-            Times of a moving sun, with an offset from UTC, or datetime64 in UTC. Or readings of the level's clock, as ``0s``, with a
-            fixed sun.
+            Times of a moving sun, with an offset from UTC, or datetime64 in UTC. Or readings of the level's clock, as ``0s``, with
+            a fixed sun.
         step
             The time between two pictures, as ``10m``.
         path
@@ -237,10 +237,10 @@ class OpenLevel:
         SkuggaError
             For a wrong argument, or if drawing fails.
         """
-        way = None if path is None else load_camera_path(path)
-        span = film_span(_iso(start), _iso(end), step, fps, way, seconds)
+        camera_path = None if path is None else load_camera_path(path)
+        span = film_span(_iso(start), _iso(end), step, fps, camera_path, seconds)
         scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration)
-        request = FilmRequest(span, view, way, size, bounds, _named(crs), shadows)
+        request = FilmRequest(span, view, camera_path, size, bounds, _crs_text(crs), shadows)
         moments = frame_moments(scene, request)
         replanner = Replanner(device=calibration_for(scene.loaded.level.shadows, shadows))
         return (frame.color for frame in film_frames(scene, request, moments, replanner))
@@ -321,8 +321,8 @@ class OpenLevel:
         time, azimuth, altitude, bounds, crs, resolution, like, cells
             As in ``shade``.
         **options
-            Options of the product, as ``date="2024-03-21"`` of ``sunhours``. A product with shadows also takes the keys of a level's
-            ``shadows``.
+            Options of the product, as ``date="2024-03-21"`` of ``sunhours``. A product with shadows also takes the keys of a
+            level's ``shadows``.
 
         Returns
         -------
@@ -334,10 +334,10 @@ class OpenLevel:
         SkuggaError
             For a wrong argument, and for arrays that do not fit into memory.
         """
-        named = product_named(product, RASTER_PRODUCTS, "product")
-        shadows = {name: value for name, value in options.items() if named.needs and name in Shadows.model_fields}
-        own = {name: value for name, value in options.items() if name not in shadows}
-        request = ProductRequest(product=product, options=named.options_of(own), sun=_sun(time, azimuth, altitude))
+        record = product_named(product, RASTER_PRODUCTS, "product")
+        shadows = {name: value for name, value in options.items() if record.needs and name in Shadows.model_fields}
+        product_options = {name: value for name, value in options.items() if name not in shadows}
+        request = ProductRequest(product=product, options=record.options_of(product_options), sun=_sun(time, azimuth, altitude))
         return self._computed(request, (bounds, crs, resolution, like, cells), shadows)
 
     @checked
@@ -472,7 +472,7 @@ class OpenLevel:
             For a wrong argument.
         """
         query = PointQuery(lon=lon, lat=lat, height=height)
-        return horizon_profile(around_point(self._scene, query, crs))
+        return horizon_profile(point_surroundings(self._scene, query, crs))
 
     @checked
     def as_leaflet_layer(
@@ -512,10 +512,10 @@ class OpenLevel:
         spec = _sun(time, azimuth, altitude)
         sun = {} if spec is None else spec.model_dump(mode="json", exclude_none=True)
         query = {key: value for key, value in {"layer": layer, **sun, **shadows}.items() if value is not None}
-        said = self._service().tile_json(urlencode(query))
+        tile_json = self._service().tile_json(urlencode(query))
         return TileLayer(
-            url=said["tiles"][0], name=self.name, attribution=said.get("attribution", ""), max_zoom=24,
-            min_zoom=said["minzoom"], max_native_zoom=said["maxzoom"],
+            url=tile_json["tiles"][0], name=self.name, attribution=tile_json.get("attribution", ""), max_zoom=24,
+            min_zoom=tile_json["minzoom"], max_native_zoom=tile_json["maxzoom"],
         )  # fmt: skip
 
     def _computed(
@@ -536,11 +536,11 @@ class OpenLevel:
         resolution: float | None,
         like: Path | None,
         cells: tuple[slice, slice] | None,
-        bytes_a_cell: int,
+        bytes_per_cell: int,
     ) -> RasterView:
         """Return the cells of an array. Raises ``InputError`` for an array that does not fit into memory."""
         if cells is None:
-            raster = raster_view(self._scene, bounds, _named(crs), resolution, like)
+            raster = raster_view(self._scene, bounds, _crs_text(crs), resolution, like)
         else:
             for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution), ("like", like)):
                 if value is not None:
@@ -548,31 +548,31 @@ class OpenLevel:
             (top, bottom, _), (left, right, _) = (part.indices(count) for part, count in zip(cells, self.shape, strict=True))
             if top >= bottom or left >= right:
                 raise InputError("cells", cells, f"rows and columns of the level's own {self.shape[0]} x {self.shape[1]}")
-            raster = self._own.cells(top, left, bottom - top, right - left)
-        check_memory("cells" if resolution is None else "resolution", *raster.shape, bytes_a_cell, SMALLER_PART)
+            raster = self._own_raster.cells(top, left, bottom - top, right - left)
+        check_memory("cells" if resolution is None else "resolution", *raster.shape, bytes_per_cell, PART_REMEDY)
         return raster
 
     def _service(self) -> TileService:
-        if self._served is None:
+        if self._tile_service is None:
             path = self.path
-            if self._held is not None:  # another process cannot read this memory
+            if self._memory_file is not None:  # another process cannot read this memory
                 self._folder = TemporaryDirectory(prefix="skugga-")
                 path = Path(self._folder.name) / "heights.tif"
-                path.write_bytes(self._held.getbuffer())
-            self._served = TileService(path)
-        return self._served
+                path.write_bytes(self._memory_file.getbuffer())
+            self._tile_service = TileService(path)
+        return self._tile_service
 
     def close(self) -> None:
         """Close the files and end the tile service."""
-        if self._served is not None:
-            self._served.close()
+        if self._tile_service is not None:
+            self._tile_service.close()
         if self._folder is not None:
             self._folder.cleanup()
         if self._open is not None:
             self._open.close()
             self._open = None
-        if self._held is not None:
-            self._held.close()
+        if self._memory_file is not None:
+            self._memory_file.close()
 
     def __enter__(self) -> OpenLevel:
         return self
@@ -618,8 +618,8 @@ def open_level(
     SkuggaError
         For a wrong argument or file.
     """
-    stated = {"units": parse_units("units", units), "positive": parse_positive("positive", positive)}
-    level = LevelSource(path=find_level(str(source)), canopy=canopy, buildings=buildings, nodata=nodata, **stated)
+    vertical_axis = {"units": parse_units("units", units), "positive": parse_positive("positive", positive)}
+    level = LevelSource(path=find_level(str(source)), canopy=canopy, buildings=buildings, nodata=nodata, **vertical_axis)
     return OpenLevel(build_scene(load_level(level)))
 
 
@@ -651,29 +651,29 @@ def open_heights(height_m: Heights, transform: Transform, crs: AnyCrs) -> OpenLe
 
 def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLevel:
     """Open a grid of heights in metres (``grid_of_heights``) as a level. Raises ``InputError``."""
-    held = MemoryFile(filename="heights.tif")
+    memory_file = MemoryFile(filename="heights.tif")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)  # load_level raises an error for it
-            with held.open(
+            with memory_file.open(
                 driver="GTiff", height=heights.shape[0], width=heights.shape[1], count=1, dtype="float32", nodata=float("nan"),
                 crs=crs.to_wkt(), transform=transform, bigtiff="if_safer",
             ) as dataset:  # fmt: skip
                 dataset.write(heights, 1)
         # Heights are metres and grow upwards, whatever the vertical axis of the CRS says.
-        source = LevelSource(path=Path(held.name), units="m", positive="up")
-        return OpenLevel(build_scene(load_level(source)), held)
+        source = LevelSource(path=Path(memory_file.name), units="m", positive="up")
+        return OpenLevel(build_scene(load_level(source)), memory_file)
     except InputError as error:
-        held.close()
-        error.name = error.name.replace(held.name, ARRAY)
-        error.args = (str(error).replace(held.name, ARRAY),)
+        memory_file.close()
+        error.name = error.name.replace(memory_file.name, ARRAY)
+        error.args = (str(error).replace(memory_file.name, ARRAY),)
         raise
     except BaseException:
-        held.close()
+        memory_file.close()
         raise
 
 
-def _named(crs: CRS | None) -> str | None:
+def _crs_text(crs: CRS | None) -> str | None:
     return None if crs is None else crs.srs
 
 

@@ -18,12 +18,12 @@ from urllib.request import urlopen
 
 from skugga.terrain.errors import RenderError
 
-READY_S = 600.0
+START_TIMEOUT_S = 600.0
 """Timeout of the start. With empty caches the service compiles for some minutes."""
 
-WHEN_IDLE = "SKUGGA_CALIBRATE_WHEN_IDLE", "SKUGGA_PROBE_WHEN_IDLE"
+IDLE_SETTINGS = "SKUGGA_CALIBRATE_WHEN_IDLE", "SKUGGA_PROBE_WHEN_IDLE"
 
-ASKED_EVERY_S = 0.1
+POLL_INTERVAL_S = 0.1
 
 
 class TileService:
@@ -34,16 +34,16 @@ class TileService:
 
     def __init__(self, level: Path) -> None:
         self.name = level.stem
-        self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115  # open as long as the process runs
+        self._log_file = tempfile.TemporaryFile("w+")  # noqa: SIM115  # open as long as the process runs
         port = _free_port()
         self.address = f"http://127.0.0.1:{port}"
         command = "from skugga.api.cli.main import main; main()"
         process = subprocess.Popen(
             [sys.executable, "-c", command, "serve", str(level), "--port", str(port)],
-            env={**dict.fromkeys(WHEN_IDLE, "false"), **os.environ},  # the notebook process is not idle
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._said,
+            env={**dict.fromkeys(IDLE_SETTINGS, "false"), **os.environ},  # the notebook process is not idle
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._log_file,
         )  # fmt: skip
-        self._end = weakref.finalize(self, _end, process, self._said)
+        self._end = weakref.finalize(self, _end, process, self._log_file)
         self._wait(process)
 
     def tile_json(self, query: str) -> dict[str, Any]:
@@ -61,27 +61,27 @@ class TileService:
         self._end()
 
     def _wait(self, process: subprocess.Popen[bytes]) -> None:
-        until = time.monotonic() + READY_S
-        while time.monotonic() < until and process.poll() is None:
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while time.monotonic() < deadline and process.poll() is None:
             try:
                 with urlopen(f"{self.address}/readyz"):
                     return
             except OSError:
-                time.sleep(ASKED_EVERY_S)
-        self._said.seek(0)
-        last = self._said.read().strip().rpartition("\n")[2]
+                time.sleep(POLL_INTERVAL_S)
+        self._log_file.seek(0)
+        last_line = self._log_file.read().strip().rpartition("\n")[2]
         self.close()
-        raise RenderError(f"the tile service of {self.name} did not start: {last or f'no answer in {READY_S:g} s'}")
+        raise RenderError(f"the tile service of {self.name} did not start: {last_line or f'no answer in {START_TIMEOUT_S:g} s'}")
 
 
 def _free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])
 
 
-def _end(process: subprocess.Popen[bytes], said: IO[str]) -> None:
-    said.close()
+def _end(process: subprocess.Popen[bytes], log_file: IO[str]) -> None:
+    log_file.close()
     process.terminate()
     try:
         process.wait(10.0)

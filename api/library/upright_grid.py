@@ -26,7 +26,7 @@ ARRAY = "the array"
 MAX_UNEVEN_CELLS = 0.1
 """Tolerance of evenly spaced coordinates, in cells. Coordinates in float32 are rounded."""
 
-CHUNKED = "Use fewer cells, or chunks: da.chunk({'y': 2048, 'x': 2048}), rioxarray.open_rasterio(FILE, chunks=2048)"
+CHUNKS_REMEDY = "Use fewer cells, or chunks: da.chunk({'y': 2048, 'x': 2048}), rioxarray.open_rasterio(FILE, chunks=2048)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,15 +85,17 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     array = array.transpose(y_dim, x_dim)
     if array.chunks is None:
         rows, cols = array.shape
-        check_memory(ARRAY, rows, cols, GRID_BYTES + 2 * array.dtype.itemsize, CHUNKED)
-    crs, stated, flips = _crs(array), _stated(array), {}
-    for dim, step, wanted in ((y_dim, stated.e, -1.0), (x_dim, stated.a, 1.0)):
-        at = array[dim].to_numpy() if dim in array.coords else None
-        if (step if at is None or at.size < 2 else _number(at[-1]) - _number(at[0])) * wanted < 0.0:
+        check_memory(ARRAY, rows, cols, GRID_BYTES + 2 * array.dtype.itemsize, CHUNKS_REMEDY)
+    crs, declared, flips = _crs(array), _declared_transform(array), {}
+    for dim, step, direction in ((y_dim, declared.e, -1.0), (x_dim, declared.a, 1.0)):
+        coordinates = array[dim].to_numpy() if dim in array.coords else None
+        if (
+            step if coordinates is None or coordinates.size < 2 else _number(coordinates[-1]) - _number(coordinates[0])
+        ) * direction < 0.0:
             flips[dim] = slice(None, None, -1)
     upright = array.isel(flips)
-    y0, dy = _even(upright, y_dim, stated.f, stated.e, y_dim in flips)
-    x0, dx = _even(upright, x_dim, stated.c, stated.a, x_dim in flips)
+    y0, dy = _edge_and_step(upright, y_dim, declared.f, declared.e, y_dim in flips)
+    x0, dx = _edge_and_step(upright, x_dim, declared.c, declared.a, x_dim in flips)
     return UprightGrid(_heights(upright, crs), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, flips)
 
 
@@ -124,18 +126,18 @@ def _axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
 
 def _crs(array: xarray.DataArray) -> CRS:
     try:
-        found = None if array.rio.crs is None else CRS.from_user_input(array.rio.crs.to_wkt())
+        crs = None if array.rio.crs is None else CRS.from_user_input(array.rio.crs.to_wkt())
     except (CRSError, RasterioError, ValueError):
         raise InputError("crs", Problem(f"PROJ does not know the CRS of {ARRAY}"), "Set one by da.rio.write_crs(...)") from None
-    if found is None:
+    if crs is None:
         raise InputError("crs", Problem(f"{ARRAY} has no CRS"), "Set one by da.rio.write_crs(...)")
-    if found.type_name == "Vertical CRS":  # a GeoTIFF of GDAL would make a flat world of it
-        problem = Problem(f"{ARRAY} has the vertical CRS {found.name}")
+    if crs.type_name == "Vertical CRS":  # a GeoTIFF of GDAL would make a flat world of it
+        problem = Problem(f"{ARRAY} has the vertical CRS {crs.name}")
         raise InputError("crs", problem, "Set one with x and y by da.rio.write_crs(...)")
-    return found
+    return crs
 
 
-def _stated(array: xarray.DataArray) -> Affine:
+def _declared_transform(array: xarray.DataArray) -> Affine:
     """Return the geotransform that an array declares. Raises ``InputError`` if its cells have neither that nor coordinates."""
     try:
         stated: Affine = array.rio.transform(recalc=False)
@@ -153,7 +155,7 @@ def _number(value: Any) -> float:
     return float(value) if np.asarray(value).dtype.kind in "iuf" else 0.0
 
 
-def _even(array: xarray.DataArray, dim: Any, start: float, step: float, is_flipped: bool) -> tuple[float, float]:
+def _edge_and_step(array: xarray.DataArray, dim: Any, start: float, step: float, is_flipped: bool) -> tuple[float, float]:
     """Return the outer edge of the first cell along a dimension, and the step to the next cell.
 
     ``start`` and ``step`` are the declared values of the array before it was flipped. Raises ``InputError``.
@@ -161,13 +163,15 @@ def _even(array: xarray.DataArray, dim: Any, start: float, step: float, is_flipp
     start, step = (start + array.sizes[dim] * step, -step) if is_flipped else (start, step)
     if dim not in array.coords:
         return start, step
-    name, at = f"{ARRAY}: {dim}", array[dim].to_numpy()
-    if at.dtype.kind not in "iuf" or not np.isfinite(at).all():
-        problem = Problem(f"coordinates of the type {at.dtype} are not all finite numbers")
+    name, coordinates = f"{ARRAY}: {dim}", array[dim].to_numpy()
+    if coordinates.dtype.kind not in "iuf" or not np.isfinite(coordinates).all():
+        problem = Problem(f"coordinates of the type {coordinates.dtype} are not all finite numbers")
         raise InputError(name, problem, "Use numbers in units of the CRS")
-    at = at.astype(np.float64)
-    if at.size > 1:
-        step = float(at[-1] - at[0]) / (at.size - 1)
-        if step == 0.0 or np.abs(at - (at[0] + step * np.arange(at.size))).max() > MAX_UNEVEN_CELLS * abs(step):
+    coordinates = coordinates.astype(np.float64)
+    if coordinates.size > 1:
+        step = float(coordinates[-1] - coordinates[0]) / (coordinates.size - 1)
+        if step == 0.0 or np.abs(
+            coordinates - (coordinates[0] + step * np.arange(coordinates.size))
+        ).max() > MAX_UNEVEN_CELLS * abs(step):
             raise InputError(name, Problem("uneven steps"), "Use evenly spaced coordinates, as da.interp(...) makes them")
-    return float(at[0]) - step / 2.0, step
+    return float(coordinates[0]) - step / 2.0, step

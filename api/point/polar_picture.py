@@ -20,10 +20,10 @@ from skugga.terrain.geo.clock import day_bounds
 SkyPictureFormat = Literal["svg", "png"]
 
 PATH_STEP_S = 120.0
-NAMED_APART_DEG = 6.0
+MIN_LABEL_DIFFERENCE_DEG = 6.0
 """A path is labelled if its highest altitude differs from that of the day by more than this, degrees."""
 
-NUMBERED_INSIDE_DEG = 6.0
+MIN_OUTSIDE_ALTITUDE_DEG = 6.0
 
 SIDE_INCHES, DOTS_PER_INCH = 8.0, 120
 
@@ -48,20 +48,20 @@ def sky_picture(
         figure = Figure(figsize=(SIDE_INCHES, SIDE_INCHES + 0.95), facecolor=_PAPER)
         FigureCanvasAgg(figure)
         axes: Any = figure.add_axes((0.07, 0.085, 0.86, 0.80), projection="polar")
-        _sky(axes)
-        _horizon(axes, horizon)
-        dated = around.scene.world.off_earth_reason is None
-        if dated:
-            _paths(axes, around, day, clock)
+        _draw_axes(axes)
+        _draw_horizon(axes, horizon)
+        has_sun = around.scene.world.off_earth_reason is None
+        if has_sun:
+            _draw_paths(axes, around, day, clock)
         figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=_INK, va="top")
         figure.text(0.06, 0.951, _subtitle(around, day, clock), fontsize=9.5, color=_INK, va="top")
-        _legend(figure, horizon, not dated)
+        _draw_legend(figure, horizon, not has_sun)
         file = io.BytesIO()
         figure.savefig(file, format=format, dpi=DOTS_PER_INCH, metadata={"Date": None} if format == "svg" else None)
     return file.getvalue()
 
 
-def _sky(axes: Any) -> None:
+def _draw_axes(axes: Any) -> None:
     """Draw the empty chart: axes, grid and labels."""
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
@@ -84,7 +84,7 @@ def _sky(axes: Any) -> None:
     axes.set_axisbelow(True)
 
 
-def _horizon(axes: Any, horizon: PointHorizon) -> None:
+def _draw_horizon(axes: Any, horizon: PointHorizon) -> None:
     """Draw the horizon from the rim inwards; trees and roofs show where they rise above the ground's horizon."""
     angle = np.radians(np.append(horizon.azimuth_deg, 360.0))
     for height, color, order in (
@@ -96,37 +96,37 @@ def _horizon(axes: Any, horizon: PointHorizon) -> None:
     axes.plot(angle, top, color="#4a443b", linewidth=0.7, zorder=2.3)
 
 
-def _paths(axes: Any, around: Surroundings, day: date, clock: tzinfo) -> None:
+def _draw_paths(axes: Any, around: Surroundings, day: date, clock: tzinfo) -> None:
     """Draw the sun's paths: solstices and equinox thin, the day bold where the sun reaches the point."""
-    own_azimuth, own_altitude = _path(around, day, clock)
-    highest = np.nanmax(own_altitude) if np.isfinite(own_altitude).any() else -90.0
+    own_azimuth, own_altitude = _sun_path(around, day, clock)
+    max_altitude = np.nanmax(own_altitude) if np.isfinite(own_altitude).any() else -90.0
     for number, (month, day_of_month) in enumerate(((6, 21), (3, 20), (12, 21))):
-        azimuth, altitude = _path(around, date(day.year, month, day_of_month), clock)
-        axes.plot(np.radians(_unbroken(azimuth)), 90.0 - altitude, color=_OTHER, linewidth=1.1, zorder=3)
-        if np.isfinite(altitude).any() and abs(np.nanmax(altitude) - highest) > NAMED_APART_DEG:
-            _name_path(axes, azimuth, altitude, ("21 June", "20 March", "21 December")[number])
+        azimuth, altitude = _sun_path(around, date(day.year, month, day_of_month), clock)
+        axes.plot(np.radians(_unwrapped(azimuth)), 90.0 - altitude, color=_OTHER, linewidth=1.1, zorder=3)
+        if np.isfinite(altitude).any() and abs(np.nanmax(altitude) - max_altitude) > MIN_LABEL_DIFFERENCE_DEG:
+            _label_path(axes, azimuth, altitude, ("21 June", "20 March", "21 December")[number])
     azimuth, altitude = own_azimuth, own_altitude
     lit = sees_sun(around, azimuth, np.nan_to_num(altitude, nan=-90.0))
-    angle = np.radians(_unbroken(azimuth))
+    angle = np.radians(_unwrapped(azimuth))
     axes.plot(angle, 90.0 - altitude, color=_HIDDEN, linewidth=1.6, linestyle=(0, (3, 2)), zorder=4)
     shining = np.where(lit, 90.0 - altitude, np.nan)
     axes.plot(angle, shining, color=_SUN_EDGE, linewidth=4.6, solid_capstyle="round", zorder=4.1)
     axes.plot(angle, shining, color=_SUN, linewidth=3.2, solid_capstyle="round", zorder=4.2)
-    _hours(axes, around, day, clock, bool(np.isfinite(altitude).any()))
+    _draw_hours(axes, around, day, clock, bool(np.isfinite(altitude).any()))
 
 
-def _path(around: Surroundings, day: date, clock: tzinfo) -> tuple[np.ndarray, np.ndarray]:
+def _sun_path(around: Surroundings, day: date, clock: tzinfo) -> tuple[np.ndarray, np.ndarray]:
     """Return azimuths and altitudes of the sun of a day, degrees; altitudes below the level horizon are NaN."""
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
     azimuth, altitude = angles_at(around.place, sun_samples(around.scene.world, begin, end, PATH_STEP_S)[1])
     return azimuth, np.where(altitude > 0.0, altitude, np.nan)
 
 
-def _unbroken(azimuth_deg: np.ndarray) -> np.ndarray:
+def _unwrapped(azimuth_deg: np.ndarray) -> np.ndarray:
     return np.unwrap(azimuth_deg, period=360.0)
 
 
-def _name_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str) -> None:
+def _label_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str) -> None:
     """Label a path at its highest point."""
     top = int(np.nanargmax(altitude))
     axes.annotate(
@@ -136,40 +136,40 @@ def _name_path(axes: Any, azimuth: np.ndarray, altitude: np.ndarray, name: str) 
     )  # fmt: skip
 
 
-def _hours(axes: Any, around: Surroundings, day: date, clock: tzinfo, named: bool) -> None:
+def _draw_hours(axes: Any, around: Surroundings, day: date, clock: tzinfo, has_path: bool) -> None:
     """Mark full hours on all paths, and number them on the day's path."""
     days = [date(day.year, 6, 21), date(day.year, 3, 20), date(day.year, 12, 21), day]
     for each in days:
         first = day_bounds(each, clock)[0]
         moments = [datetime(each.year, each.month, each.day, hour, tzinfo=clock) for hour in range(24)]
         begin = first.astimezone(UTC).timestamp()
-        when, to_sun = sun_samples(around.scene.world, begin, begin + 86400.0, PATH_STEP_S)
+        times_s, to_sun = sun_samples(around.scene.world, begin, begin + 86400.0, PATH_STEP_S)
         seconds = np.array([moment.astimezone(UTC).timestamp() for moment in moments])
-        nearest = np.clip(np.searchsorted(when, seconds), 0, len(when) - 1)
+        nearest = np.clip(np.searchsorted(times_s, seconds), 0, len(times_s) - 1)
         azimuth, altitude = angles_at(around.place, to_sun[nearest])
-        own = each == day
+        is_day = each == day
         for hour in np.flatnonzero(altitude > 0.0):
-            angle, away = np.radians(azimuth[hour]), 90.0 - altitude[hour]
-            size = 5.0 if own else 2.6
+            angle, radius = np.radians(azimuth[hour]), 90.0 - altitude[hour]
+            size = 5.0 if is_day else 2.6
             axes.plot(
-                [angle], [away], "o", markersize=size, color=_PAPER if own else _OTHER,
-                markeredgecolor=_INK if own else _OTHER, markeredgewidth=0.9 if own else 0.0, zorder=5,
+                [angle], [radius], "o", markersize=size, color=_PAPER if is_day else _OTHER,
+                markeredgecolor=_INK if is_day else _OTHER, markeredgewidth=0.9 if is_day else 0.0, zorder=5,
             )  # fmt: skip
-            if own and named:
+            if is_day and has_path:
                 axes.annotate(
-                    f"{hour}", (angle, away), xytext=_beside(azimuth[hour], altitude[hour]), textcoords="offset points",
+                    f"{hour}", (angle, radius), xytext=_number_offset(azimuth[hour], altitude[hour]), textcoords="offset points",
                     fontsize=8.5, fontweight="bold", color=_INK, ha="center", va="center", zorder=7,
                     bbox={"facecolor": _PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.7, "boxstyle": "round,pad=0.15"},
                 )  # fmt: skip
 
 
-def _beside(azimuth_deg: float, altitude_deg: float) -> tuple[float, float]:
+def _number_offset(azimuth_deg: float, altitude_deg: float) -> tuple[float, float]:
     """Return the offset of an hour's number from its mark, points.
 
     It points to the rim; near the rim it points to the centre, to keep clear of the azimuth labels.
     """
-    angle, away = np.radians(azimuth_deg), 11.0 if altitude_deg > NUMBERED_INSIDE_DEG else -11.0
-    return float(away * np.sin(angle)), float(away * np.cos(angle))
+    angle, radius = np.radians(azimuth_deg), 11.0 if altitude_deg > MIN_OUTSIDE_ALTITUDE_DEG else -11.0
+    return float(radius * np.sin(angle)), float(radius * np.cos(angle))
 
 
 def _subtitle(around: Surroundings, day: date, clock: tzinfo) -> str:
@@ -193,7 +193,7 @@ def _clock_words(day: date, clock: tzinfo) -> str:
     return written if name.startswith("UTC") else f"{name} ({written})"
 
 
-def _legend(figure: Any, horizon: PointHorizon, flat: bool) -> None:
+def _draw_legend(figure: Any, horizon: PointHorizon, flat: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

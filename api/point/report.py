@@ -24,11 +24,11 @@ NO_SUN = "the level has no default sun. Give a time"
 
 def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:
     """Return the report of a point of a level under the scene's sun. Raises ``InputError``."""
-    around = around_point(scene, query, crs)
+    around = point_surroundings(scene, query, crs)
     place = around.place
-    day = day_asked(scene, query, place.lon_deg)
-    clock = clock_asked(scene, query, place.lon_deg, day)
-    now, remarks = sun_now(around), []
+    day = requested_day(scene, query, place.lon_deg)
+    clock = requested_clock(scene, query, place.lon_deg, day)
+    now, remarks = reported_sun(around), []
     if now is None:
         remarks.append(NO_SUN)
     reported = None
@@ -65,12 +65,12 @@ def report_or_null(scene: Scene, query: PointQuery) -> PointReport:
         )  # fmt: skip
 
 
-def around_point(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Surroundings:
+def point_surroundings(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Surroundings:
     """Return a point's place and its surroundings. Raises ``InputError``."""
     return load_surroundings(scene, place_at(scene, (query.lon, query.lat), crs, query.height))
 
 
-def sun_now(around: Surroundings) -> ReportedMoment | None:
+def reported_sun(around: Surroundings) -> ReportedMoment | None:
     """Return the scene's sun at a place; ``None`` if the scene has none."""
     sun, scene = scene_sun_at(around.scene, around.place), around.scene
     if sun is None or scene.sun is None:
@@ -81,7 +81,7 @@ def sun_now(around: Surroundings) -> ReportedMoment | None:
     )
 
 
-def day_asked(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
+def requested_day(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
     """Return the day of a query: its date, else the day of the sun's time, else today.
 
     The day is that of the query's clock, else of the offset of the sun's time, else of solar time. Raises ``InputError`` for a
@@ -97,7 +97,7 @@ def day_asked(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
     return moment.astimezone(clock_of("solar" if query.clock is None else query.clock, lon_deg, moment.date())).date()
 
 
-def clock_asked(scene: Scene, query: PointQuery, lon_deg: float | None, day: date) -> tzinfo:
+def requested_clock(scene: Scene, query: PointQuery, lon_deg: float | None, day: date) -> tzinfo:
     """Return the clock of a query: its own, else the offset of the sun's time, else solar time. Raises ``InputError``."""
     if query.clock is None and scene.sun is not None and scene.sun.time is not None and scene.sun.time.tzinfo is not None:
         return scene.sun.time.tzinfo

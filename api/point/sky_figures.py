@@ -63,12 +63,12 @@ def sky_figures(around: Surroundings, horizon: PointHorizon, day: date, clock: t
 
 def _path(around: Surroundings, day: date, clock: tzinfo) -> tuple[SunOnPath, ...]:
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_bounds(day, clock))
-    when, to_sun = sun_samples(around.scene.world, begin, end, SUN_STEP_S)
+    times_s, to_sun = sun_samples(around.scene.world, begin, end, SUN_STEP_S)
     azimuth, altitude = angles_at(around.place, to_sun)
     lit = sees_sun(around, azimuth, altitude)
     return tuple(
         SunOnPath(
-            time=datetime.fromtimestamp(round(float(when[n])), UTC).astimezone(clock),
+            time=datetime.fromtimestamp(round(float(times_s[n])), UTC).astimezone(clock),
             azimuth=round(float(azimuth[n]), ANGLE_DIGITS),
             altitude=round(float(altitude[n]), ANGLE_DIGITS), lit=bool(lit[n]),
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skugga.api.point.report import around_point, clock_asked, day_asked, sun_now
+from skugga.api.point.report import point_surroundings, reported_sun, requested_clock, requested_day
 from skugga.api.point.values import MAX_POINTS, PointAnswerRow, PointQuery, TrackPoint
 from skugga.shadows.point.sun_angles import sun_directions
 from skugga.shadows.point.sun_day import sampled_sun_hours
@@ -48,21 +48,21 @@ def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackP
     lines = [part for part in shapely.get_parts(features.geometry) if part.geom_type == "LineString"]
     if not lines:
         raise SourceError(str(path), f"has {features.geometry[0].geom_type} geometries and no line", "Give a file with a line")
-    found: list[TrackPoint] = []
+    points: list[TrackPoint] = []
     for lon, lat in shapely.get_coordinates(np.array(lines, object)):
-        if found:
-            last = found[-1]
-            azimuth, _, away = WGS84.inv(last.lon_deg, last.lat_deg, lon, lat)
-            if away == 0.0:
+        if points:
+            previous = points[-1]
+            azimuth, _, distance_m = WGS84.inv(previous.lon_deg, previous.lat_deg, lon, lat)
+            if distance_m == 0.0:
                 continue
-            count = int(np.ceil(away / every_m))
-            if len(found) + count > MAX_POINTS:
+            count = int(np.ceil(distance_m / every_m))
+            if len(points) + count > MAX_POINTS:
                 raise InputError("--every", every_m, f"a distance that makes at most {MAX_POINTS} points")
             for n in range(1, count):
-                at = WGS84.fwd(last.lon_deg, last.lat_deg, azimuth, away * n / count)
-                found.append(TrackPoint(float(at[0]), float(at[1]), height_m))
-        found.append(TrackPoint(float(lon), float(lat), height_m))
-    return found
+                position = WGS84.fwd(previous.lon_deg, previous.lat_deg, azimuth, distance_m * n / count)
+                points.append(TrackPoint(float(position[0]), float(position[1]), height_m))
+        points.append(TrackPoint(float(lon), float(lat), height_m))
+    return points
 
 
 def with_arrivals(points: list[TrackPoint], start: datetime, speed_kmh: float) -> list[TrackPoint]:
@@ -86,29 +86,29 @@ def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hou
     suns = _suns_of(scene, points)
     rows = []
     for point, sun in zip(points, suns, strict=True):
-        under = scene if sun is None else replace(scene, sun=sun)
-        own = query.model_copy(update={"lon": point.lon_deg, "lat": point.lat_deg, "height": point.height_m})
+        point_scene = scene if sun is None else replace(scene, sun=sun)
+        point_query = query.model_copy(update={"lon": point.lon_deg, "lat": point.lat_deg, "height": point.height_m})
         try:
-            around = around_point(under, own)
+            around = point_surroundings(point_scene, point_query)
         except InputError as error:
             rows.append(PointAnswerRow(None, None, None, str(error)))
             continue
-        direct = None
+        direct_h = None
         if hours and scene.world.off_earth_reason is None:
-            day = day_asked(under, own, around.place.lon_deg)
-            direct = sampled_sun_hours(around, day, clock_asked(under, own, around.place.lon_deg, day))
-        rows.append(PointAnswerRow(around.place.ground_m, sun_now(around), direct, None))
+            day = requested_day(point_scene, point_query, around.place.lon_deg)
+            direct_h = sampled_sun_hours(around, day, requested_clock(point_scene, point_query, around.place.lon_deg, day))
+        rows.append(PointAnswerRow(around.place.ground_m, reported_sun(around), direct_h, None))
     return rows
 
 
 def _suns_of(scene: Scene, points: list[TrackPoint]) -> list[Sun | None]:
     """Return the suns of the points' times; ``None`` for points without a time."""
-    timed = [n for n, point in enumerate(points) if point.time is not None]
+    timed_indices = [n for n, point in enumerate(points) if point.time is not None]
     suns: list[Sun | None] = [None] * len(points)
-    if timed:
+    if timed_indices:
         utc_s = np.array([point.time.timestamp() for point in points if point.time is not None])
         anchor = scene.world.earth_from_anchor
-        for n, to_sun in zip(timed, sun_directions(scene.world, utc_s), strict=True):
+        for n, to_sun in zip(timed_indices, sun_directions(scene.world, utc_s), strict=True):
             east, north, up = to_sun @ anchor
             azimuth, altitude = np.degrees(np.arctan2(east, north)) % 360.0, np.degrees(np.arcsin(np.clip(up, -1.0, 1.0)))
             suns[n] = Sun(float(azimuth), float(altitude), to_sun, points[n].time)
@@ -132,11 +132,11 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
     for number, row in enumerate(rows, 2):
         try:
             lon, lat = (float(row[column or ""]) for column in columns)
-            high = float(row[height]) if height and row[height] else height_m
+            point_height_m = float(row[height]) if height and row[height] else height_m
         except (TypeError, ValueError):
             words = f"line {number}: {','.join(str(v) for v in row.values())[:60]} has no valid coordinates or height"
             raise SourceError(str(path), words, "Give numbers") from None
-        points.append(TrackPoint(lon, lat, high, _moment(path, f"line {number}", row[time] if time else None)))
+        points.append(TrackPoint(lon, lat, point_height_m, _moment(path, f"line {number}", row[time] if time else None)))
     return points
 
 
@@ -147,8 +147,8 @@ def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
     layer = vector_layer(str(path), (0,))
     names = {name.strip().lower(): name for name in attribute_names(str(path), layer.name or 0)}
     time, height = (next((names[word] for word in words if word in names), None) for words in (TIME_FIELDS, HEIGHT_FIELDS))
-    wanted = [name for name in (time, height) if name is not None]
-    features = read_features(str(path), LONGITUDE_LATITUDE, wanted, layer=layer)
+    attributes = [name for name in (time, height) if name is not None]
+    features = read_features(str(path), LONGITUDE_LATITUDE, attributes, layer=layer)
     kinds = {geometry.geom_type for geometry in features.geometry}
     if kinds != {"Point"}:
         raise SourceError(str(path), f"has {', '.join(sorted(kinds))} geometries", "Give a file of points only")
@@ -157,8 +157,8 @@ def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
         heights = np.nan_to_num(numeric_attribute(features, height, length_m), nan=height_m)
     times = [None] * len(heights) if time is None else features.attributes[time]
     return [
-        TrackPoint(float(point.x), float(point.y), float(high), _moment(path, features.label(row), moment))
-        for row, (point, high, moment) in enumerate(zip(features.geometry, heights, times, strict=True))
+        TrackPoint(float(point.x), float(point.y), float(point_height_m), _moment(path, features.label(row), moment))
+        for row, (point, point_height_m, moment) in enumerate(zip(features.geometry, heights, times, strict=True))
     ]
 
 

@@ -13,29 +13,33 @@ from pkgutil import iter_modules
 from skugga.api.products.product import PICTURE_FORMATS, Product
 from skugga.terrain.errors import InputError
 
-FIRST = "color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium"
+LEADING_PRODUCTS = "color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium"
 """The first products of lists. The others follow by name, and layers of passes come last."""
 
 
 def _products() -> Iterator[Product]:
     for module in iter_modules(__path__, f"{__name__}."):
-        found = import_module(module.name)
-        yield from getattr(found, "PRODUCTS", ())
-        if hasattr(found, "PRODUCT"):
-            yield found.PRODUCT
+        product_module = import_module(module.name)
+        yield from getattr(product_module, "PRODUCTS", ())
+        if hasattr(product_module, "PRODUCT"):
+            yield product_module.PRODUCT
 
 
-def _place(product: Product) -> tuple[bool, int, str]:
-    return product.pass_layer is not None, FIRST.index(product.name) if product.name in FIRST else len(FIRST), product.name
+def _sort_key(product: Product) -> tuple[bool, int, str]:
+    return (
+        product.pass_layer is not None,
+        LEADING_PRODUCTS.index(product.name) if product.name in LEADING_PRODUCTS else len(LEADING_PRODUCTS),
+        product.name,
+    )
 
 
-PRODUCTS: dict[str, Product] = {each.name: each for each in sorted(_products(), key=_place)}
+PRODUCTS: dict[str, Product] = {each.name: each for each in sorted(_products(), key=_sort_key)}
 """All products by name."""
 
 
-def products_with(has: Callable[[Product], object]) -> tuple[str, ...]:
+def products_with(predicate: Callable[[Product], object]) -> tuple[str, ...]:
     """Return the names of the products that fulfil a condition."""
-    return tuple(name for name, product in PRODUCTS.items() if has(product))
+    return tuple(name for name, product in PRODUCTS.items() if predicate(product))
 
 
 VIEW_PRODUCTS = products_with(lambda each: each.view_formats)

@@ -20,8 +20,8 @@ def nodata_height_m(lowest_m: float) -> float:
 
 def encoded_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEncoding) -> np.ndarray:
     """Return heights (rows, cols) encoded as RGB, uint8 (rows, cols, 3). NaN becomes ``nodata_m``."""
-    known = np.where(np.isnan(heights_m), nodata_m, heights_m)
-    return terrain_rgb(known) if encoding == "mapbox" else terrarium(known)
+    filled_m = np.where(np.isnan(heights_m), nodata_m, heights_m)
+    return terrain_rgb(filled_m) if encoding == "mapbox" else terrarium(filled_m)
 
 
 def _encoded(name: str, about: str, encoding: HeightEncoding) -> Product:

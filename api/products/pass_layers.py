@@ -14,7 +14,7 @@ from skugga.terrain.errors import InputError, Problem
 VOLUME_COLOR = (255, 120, 30)
 """sRGB colour of shadow volumes in a picture, warmer than ground, snow and sky."""
 
-FACE_COVERS, ALL_COVER = 0.12, 0.8
+FACE_OPACITY, MAX_OPACITY = 0.12, 0.8
 """Opacity of each face of a volume, and the largest opacity of all faces together: the picture stays visible behind 100 volumes."""
 
 
@@ -23,19 +23,19 @@ def _gray_of_depths(array: np.ndarray, color: np.ndarray) -> np.ndarray:
     return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
 
 
-def _spread(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+def _stretch(array: np.ndarray, color: np.ndarray) -> np.ndarray:
     """Return values as uint8, scaled so that the largest is bright."""
     return array * np.uint8(255 // max(int(array.max()), 1))
 
 
-def _over_color(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+def _blend_volumes(array: np.ndarray, color: np.ndarray) -> np.ndarray:
     """Return translucent volumes over the frame's colour, uint8 (rows, cols, 3).
 
     The colour is repeated if the volumes of several algorithms lie side by side in ``array``.
     """
-    behind = np.tile(color, (array.shape[0] // color.shape[0], array.shape[1] // color.shape[1], 1))
-    covered = (ALL_COVER * (1.0 - (1.0 - FACE_COVERS) ** np.arange(256)))[array, None]
-    return np.rint((1.0 - covered) * behind + covered * np.array(VOLUME_COLOR)).astype(np.uint8)
+    background = np.tile(color, (array.shape[0] // color.shape[0], array.shape[1] // color.shape[1], 1))
+    opacity = (MAX_OPACITY * (1.0 - (1.0 - FACE_OPACITY) ** np.arange(256)))[array, None]
+    return np.rint((1.0 - opacity) * background + opacity * np.array(VOLUME_COLOR)).astype(np.uint8)
 
 
 def _layer(layer: PassLayer, about: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None) -> Product:
@@ -56,10 +56,10 @@ def _layer(layer: PassLayer, about: str, formats: tuple[MapFormat, ...], to_pict
 
 PRODUCTS = (
     _layer("shadow-map", "depths of shadow maps, nearest to the light brightest", ("npy", "png"), _gray_of_depths),
-    _layer("stencil", "the stencil that shadow volumes count in", ("npy", "png"), _spread),
+    _layer("stencil", "the stencil that shadow volumes count in", ("npy", "png"), _stretch),
     _layer(
         "silhouettes", "edges of casters as the light sees them; of a hybrid, the pixels left to its volumes", ("npy", "png")
     ),
-    _layer("volumes", "shadow volumes over the picture", ("npy", "png"), _over_color),
+    _layer("volumes", "shadow volumes over the picture", ("npy", "png"), _blend_volumes),
     _layer("shadow-height", "", ("npy", "tif")),
 )  # fmt: skip

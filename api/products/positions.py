@@ -13,7 +13,7 @@ def _depth(part: Part) -> np.ndarray:
 
     view, frame = part.view, part.frame
     if isinstance(view, MapView):
-        return np.where(frame.there, part.scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
+        return np.where(frame.valid, part.scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
     return ((frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera[:, 2]).astype(np.float32)
 
 
@@ -26,7 +26,7 @@ def _position(part: Part) -> np.ndarray:
 
     view, frame = part.view, part.frame
     out = np.full((view.rows, view.cols, 3), np.nan)
-    row, col = np.nonzero(frame.there)
+    row, col = np.nonzero(frame.valid)
     if isinstance(view, MapView):
         out[row, col, 0] = view.grid.x(view.col0 + col * view.col_step)
         out[row, col, 1] = view.grid.y(view.row0 + row * view.row_step)

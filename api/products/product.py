@@ -265,7 +265,7 @@ class Product:
         """Return the description and the unit for options."""
         return (self.about, self.unit) if self.describe is None else self.describe(options)
 
-    def options_of(self, given: Mapping[str, Any]) -> ProductOptions:
+    def options_of(self, values: Mapping[str, Any]) -> ProductOptions:
         """Return the options from names and values.
 
         Raises
@@ -274,7 +274,7 @@ class Product:
             If an option is unknown, missing or wrong.
         """
         try:
-            return self.options(**given)
+            return self.options(**values)
         except ValidationError as error:
             first = error.errors()[0]
             name = ".".join(map(str, first["loc"])) or "options"

@@ -34,7 +34,7 @@ BLOCK_NODES = 2048
 LARGE_RASTER_CELLS = 16_000_000
 """Limit of the cells of a raster with large blocks. Smaller blocks bound memory, since casters around a block may exceed it."""
 
-BLOCK_NODES_OF_LARGE = 1024
+LARGE_RASTER_BLOCK_NODES = 1024
 
 MIN_BLOCK_NODES = 64
 
@@ -124,17 +124,19 @@ def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
     window = options.windows(world)[0]
     (sun,) = window_suns(world, [window])
     up_min = sun.times_min[sun.altitude_deg > options.least_altitude]
-    on = f"{options.date.day} {options.date:%B %Y}"
+    date_text = f"{options.date.day} {options.date:%B %Y}"
     if options.quantity == "days":
-        return ColorScale(f"Days with sun, {on}", "inferno", 0.0, 1.0, _ticks(0.0, 1.0, 1.0, lambda value: f"{value:.0f}"))
+        return ColorScale(f"Days with sun, {date_text}", "inferno", 0.0, 1.0, _ticks(0.0, 1.0, 1.0, lambda value: f"{value:.0f}"))
     if options.quantity in ("hours", "longest"):
         high = float(max(np.ceil(len(up_min) / 60.0), 1.0))
-        what = "Hours of sun" if options.quantity == "hours" else "Longest spell of sun, hours"
-        return ColorScale(f"{what}, {on}", "inferno", 0.0, high, _ticks(0.0, high, 1.0, lambda value: f"{value:.0f}"))
+        quantity_title = "Hours of sun" if options.quantity == "hours" else "Longest spell of sun, hours"
+        return ColorScale(
+            f"{quantity_title}, {date_text}", "inferno", 0.0, high, _ticks(0.0, high, 1.0, lambda value: f"{value:.0f}")
+        )
     rise, set_ = (window.clock_time_min(float(end)) for end in (up_min[[0, -1]] if len(up_min) else (0.0, window.minutes)))
     low, high = float(np.floor(rise / 60.0) * 60.0), float(np.ceil(set_ / 60.0) * 60.0)
-    what = f"{options.quantity.capitalize()} sun"
-    return ColorScale(f"{what}, {on} ({options.clock})", "viridis", low, high, _ticks(low, high, 60.0, clock_text))
+    quantity_title = f"{options.quantity.capitalize()} sun"
+    return ColorScale(f"{quantity_title}, {date_text} ({options.clock})", "viridis", low, high, _ticks(low, high, 60.0, clock_text))
 
 
 def _ticks(low: float, high: float, unit: float, text: Callable[[float], str]) -> tuple[tuple[float, str], ...]:
@@ -163,9 +165,9 @@ def _steps(options: SunHoursOptions) -> int:
 
 
 def _check(scene: Scene) -> None:
-    from skugga.terrain.gbuffer.supersampling import is_bare
+    from skugga.terrain.gbuffer.supersampling import is_terrain_only
 
-    if not is_bare(scene):  # each of many suns would be a picture
+    if not is_terrain_only(scene):  # each of many suns would be a picture
         raise UnsupportedError("layer", NAME, "objects stand on this level's ground; `skugga sunhours` writes it as a raster")
 
 
@@ -175,13 +177,13 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
     Blocks of bare ground are larger, are aligned with the grid of the cells, and end at the edge of the raster.
     """
     from skugga.shadows.sun_hours.sun_hours import ground_extent
-    from skugga.terrain.gbuffer.supersampling import MAX_PARALLEL_RAYS_M, is_bare
+    from skugga.terrain.gbuffer.supersampling import MAX_PARALLEL_RAYS_M, is_terrain_only
     from skugga.terrain.geo.grid import blocks_of, step_at_anchor_m
 
-    if not is_bare(scene):
+    if not is_terrain_only(scene):
         return blocks_of(view)
     nodes = view.as_nodes()
-    side = BLOCK_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else BLOCK_NODES_OF_LARGE
+    side = BLOCK_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else LARGE_RASTER_BLOCK_NODES
     if not scene.world.flat:
         side = int(np.clip(MAX_PARALLEL_RAYS_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_NODES, side))
     limits: Sequence[tuple[int, int]] = [
@@ -194,8 +196,8 @@ def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
         for col in range(-(int(nodes.col0) % side), view.cols, side):
             first_row, first_col = max(row, top), max(col, left)
             rows, cols = min(row + side, bottom) - first_row, min(col + side, right) - first_col
-            meets = first_row + rows > 0 and first_row < view.rows and first_col + cols > 0 and first_col < view.cols
-            if rows > 0 and cols > 0 and meets:
+            is_inside = first_row + rows > 0 and first_row < view.rows and first_col + cols > 0 and first_col < view.cols
+            if rows > 0 and cols > 0 and is_inside:
                 blocks.append((nodes.part(first_row, first_col, rows, cols), first_row, first_col))
     return blocks
 

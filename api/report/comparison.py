@@ -13,7 +13,7 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from skugga.api.report.report import LEFT_OUT, MAX_PAGE_BYTES, write_report, write_scatter
+from skugga.api.report.report import LEFT_OUT_REMARK, MAX_PAGE_BYTES, write_report, write_scatter
 from skugga.api.report.summary import format_summary
 from skugga.selector.measure.compare import Comparison, ComparisonRow, false_colours
 from skugga.selector.planner.planner import make_plan
@@ -38,10 +38,10 @@ def check_outputs(folder: Path | None, rows_file: Path | None) -> None:
         raise InputError("--json", str(rows_file), "a file in an existing folder")
 
 
-def show(comparison: Comparison, again: str) -> None:
+def show(comparison: Comparison, base_command: str) -> None:
     """Print the rows, lowest ``wrong_cast`` first, then the summary and the remarks.
 
-    ``again`` is the command line of the comparison, to which ``--only ROW`` can be appended.
+    ``base_command`` is the command line of the comparison, to which ``--only ROW`` can be appended.
     """
     console = Console(width=140)
     table = Table(box=None, header_style="bold")
@@ -75,17 +75,17 @@ def show(comparison: Comparison, again: str) -> None:
     for remark in comparison.remarks:
         console.print(f"note: {remark}")
     if comparison.left_out:
-        console.print(f"note: {LEFT_OUT}. To measure them, run:")
-        for command in commands_of_left_out(comparison, again):
+        console.print(f"note: {LEFT_OUT_REMARK}. To measure them, run:")
+        for command in commands_of_left_out(comparison, base_command):
             console.print(f"  {command}", soft_wrap=True, highlight=False, markup=False)
 
 
-def write(scene: Scene, comparison: Comparison, folder: Path, view: str, again: str) -> None:
+def write(scene: Scene, comparison: Comparison, folder: Path, view: str, base_command: str) -> None:
     """Write ``report.html``, its scatter plot as ``scatter.svg``, and one PNG per row: false shadow red, missed shadow blue.
 
-    ``again`` is that of ``show``.
+    ``base_command`` is that of ``show``.
     """
-    base = write_page(scene, comparison, folder / "report.html", view, again)
+    base = write_page(scene, comparison, folder / "report.html", view, base_command)
     write_plot(scene, comparison, folder / "scatter.svg", view)
     for row in comparison.rows:
         with atomic_path(folder / f"{row.figures['name']}.png") as part:
@@ -93,12 +93,12 @@ def write(scene: Scene, comparison: Comparison, folder: Path, view: str, again: 
 
 
 def write_page(
-    scene: Scene, comparison: Comparison, path: Path, view: str, again: str, most_bytes: int = MAX_PAGE_BYTES
+    scene: Scene, comparison: Comparison, path: Path, view: str, base_command: str, max_bytes: int = MAX_PAGE_BYTES
 ) -> np.ndarray:
-    """Write the report with at most ``most_bytes`` bytes; return the view without cast shadows, uint8 (rows, cols, 3)."""
+    """Write the report with at most ``max_bytes`` bytes; return the view without cast shadows, uint8 (rows, cols, 3)."""
     plan = make_plan(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NO_SHADOWS})
     base = render_frame(scene, comparison.view, plan).color
-    write_report(path, comparison, base, about(scene, comparison, view), commands_of_left_out(comparison, again), most_bytes)
+    write_report(path, comparison, base, about(scene, comparison, view), commands_of_left_out(comparison, base_command), max_bytes)
     return base
 
 
@@ -108,9 +108,9 @@ def write_plot(scene: Scene, comparison: Comparison, path: Path, view: str) -> N
     write_scatter(path, comparison, [f"{scene.loaded.name}, {view}", f"{said['light']}; {said['size']}; {said['device']}"])
 
 
-def commands_of_left_out(comparison: Comparison, again: str) -> list[str]:
+def commands_of_left_out(comparison: Comparison, base_command: str) -> list[str]:
     """Return the command lines that measure the rows which the time limit left out."""
-    return [f"{again} --only {shlex.quote(name)}" for name in comparison.left_out]
+    return [f"{base_command} --only {shlex.quote(name)}" for name in comparison.left_out]
 
 
 def about(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:

@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
-from skugga.api.picture_cost import NOTABLE_MS, remedy, time_limit_ms
+from skugga.api.picture_cost import SLOW_PICTURE_MS, remedy, time_limit_ms
 from skugga.selector.formatting import format_duration, format_list, format_percent
 from skugga.selector.planner.planner import SETTING_NAMES
 from skugga.shadows.algorithm import AlgorithmSettings, Reasoned
@@ -52,34 +52,35 @@ def format_sun(sun: Sun | None) -> str:
     """Return the position of a sun as text, such as ``the sun 12 degrees high in the west-south-west``."""
     if sun is None:
         return "without a sun"
-    wind = COMPASS_POINTS[round(sun.azimuth_deg / 22.5) % 16]
+    compass_point = COMPASS_POINTS[round(sun.azimuth_deg / 22.5) % 16]
     if sun.altitude_deg < 0.0:
-        return f"the sun {_short(-sun.altitude_deg)} degrees below the horizon in the {wind}"
-    return f"the sun {_short(sun.altitude_deg)} degrees high in the {wind}"
+        return f"the sun {_format_degrees(-sun.altitude_deg)} degrees below the horizon in the {compass_point}"
+    return f"the sun {_format_degrees(sun.altitude_deg)} degrees high in the {compass_point}"
 
 
 def format_plan(plan: Plan, title: str) -> str:
     """Return a plan as text for a terminal: sentences under headings, in lines of at most ``LINE_WIDTH`` characters."""
-    plan = _aloud(plan)
+    plan = _with_display_names(plan)
     reason_list = _ReasonList(plan)
     parts = [[title, *reason_list.notes("policy")], *(reason_list.light(light) for light in plan.algorithm)]
     if not plan.algorithm:
         parts.append(["Nothing here casts a shadow."])
     reason_list.notes("missed")  # dropped: the expectation has them
-    parts += [[format_expectation(plan)], reason_list.others()]
+    parts += [[format_expectation(plan)], reason_list.remaining()]
     parts += [
-        _list("Effects that run", plan.effects),
-        _list("Effects left out", plan.left_out),
-        _list("Algorithms not taken", _not_taken(plan)),
+        _reason_section("Effects that run", plan.effects),
+        _reason_section("Effects left out", plan.left_out),
+        _reason_section("Algorithms not taken", _not_taken(plan)),
     ]
     return "\n\n".join("\n".join(_wrapped(line) for line in part) for part in parts if part)
 
 
 def format_choices(plan: Plan) -> list[str]:
     """Return a sentence for each light and caster kind with shadows: the algorithm and its reason."""
-    why = {reasoned.name: reasoned.reason for reasoned in _aloud(plan).reasons}
+    why = {reasoned.name: reasoned.reason for reasoned in _with_display_names(plan).reasons}
     return [
-        f"{_capital(kind)}{'' if light == SUN else f' under {light}'} by {display_name(name)}: {why[f'{light}/{kind}: {name}']}."
+        f"{_capitalized(kind)}{'' if light == SUN else f' under {light}'} by {display_name(name)}: "
+        f"{why[f'{light}/{kind}: {name}']}."
         for light, kinds in plan.algorithm.items()
         for kind, name in kinds.items()
         if name != NO_SHADOWS and f"{light}/{kind}: {name}" in why
@@ -96,7 +97,7 @@ def format_expectation(plan: Plan) -> str:
         f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, "
         f"{format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
     )
-    if plan.predicted.ms > NOTABLE_MS and (cheaper := remedy(plan)) is not None:
+    if plan.predicted.ms > SLOW_PICTURE_MS and (cheaper := remedy(plan)) is not None:
         text = f"{text} For less time, {cheaper}."
     if plan.predicted.ms > (limit_ms := time_limit_ms()):
         limit = f"A service gives up pictures after {format_duration(limit_ms)} (SKUGGA_RENDER_TIMEOUT_S): it refuses this one."
@@ -138,7 +139,7 @@ class _ReasonList:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._left = list(plan.reasons)
+        self._unused = list(plan.reasons)
 
     def notes(self, word: str) -> list[str]:
         """Take the reasons whose name contains a word; return them as sentences."""
@@ -152,9 +153,9 @@ class _ReasonList:
                 lines += self._step(step)
         return lines
 
-    def others(self) -> list[str]:
+    def remaining(self) -> list[str]:
         """Take all remaining reasons; return them as sentences."""
-        return [f"{_capital(reasoned.name)}: {reasoned.reason}." for reasoned in self._take(lambda _: True)]
+        return [f"{_capitalized(reasoned.name)}: {reasoned.reason}." for reasoned in self._take(lambda _: True)]
 
     def _step(self, step: Step) -> Iterator[str]:
         why: dict[str, list[str]] = {}
@@ -163,27 +164,27 @@ class _ReasonList:
             why.setdefault("; ".join(reasons), []).append(kind)
         for reason, kinds in why.items():
             how = "casts nothing" if step.algorithm == NO_SHADOWS else f"by {display_name(step.algorithm)}"
-            yield f"  {_capital(format_list(kinds))} {how}{f': {reason}' if reason else ''}."
+            yield f"  {_capitalized(format_list(kinds))} {how}{f': {reason}' if reason else ''}."
         for key, value in _values(step.settings):
             reasons = self._named(f"{key} {value}", f"{step.light}: {key} {value}")
             if reasons or (key in ALWAYS_LISTED and (key, value) not in (("cascades", 1), ("filter", 1))):
                 reason = f": {reasons[0]}" if reasons and reasons[0] != AS_CHOSEN else ""
-                yield f"    {_capital(_setting(key, value))}{reason}."
+                yield f"    {_capitalized(_setting(key, value))}{reason}."
 
     def _named(self, *names: str) -> list[str]:
         """Take the reasons with one of some names."""
         return [reasoned.reason for reasoned in self._take(lambda name: name in names)]
 
-    def _take(self, wanted: Callable[[str], bool]) -> list[Reasoned]:
-        matching = [reasoned for reasoned in self._left if wanted(reasoned.name)]
-        self._left = [reasoned for reasoned in self._left if not wanted(reasoned.name)]
+    def _take(self, matches: Callable[[str], bool]) -> list[Reasoned]:
+        matching = [reasoned for reasoned in self._unused if matches(reasoned.name)]
+        self._unused = [reasoned for reasoned in self._unused if not matches(reasoned.name)]
         return matching
 
 
 def _values(settings: AlgorithmSettings | None) -> Iterator[tuple[str, object]]:
     """Yield the requested settings of a step, by override name and in ``ORDER``; ``cascades`` is their number."""
-    asked = {} if settings is None else settings.as_overrides
-    yield from ((key, asked[key]) for key in ORDER if key in asked)
+    overrides = {} if settings is None else settings.as_overrides
+    yield from ((key, overrides[key]) for key in ORDER if key in overrides)
 
 
 def _spoken_name(found: re.Match[str]) -> str:
@@ -216,14 +217,14 @@ def _setting(key: str, value: object) -> str:
             return f"{display_name(key)} {value}"
 
 
-def _aloud(plan: Plan) -> Plan:
+def _with_display_names(plan: Plan) -> Plan:
     """Return a plan whose reasons use the display names of algorithms and effects."""
 
-    def aloud(reasoned: list[Reasoned]) -> list[Reasoned]:
+    def renamed(reasoned: list[Reasoned]) -> list[Reasoned]:
         return [Reasoned(name=entry.name, reason=_WORD.sub(_spoken_name, entry.reason)) for entry in reasoned]
 
     lists = ("effects", "left_out", "rejected", "reasons")
-    return plan.model_copy(update={key: aloud(getattr(plan, key)) for key in lists})
+    return plan.model_copy(update={key: renamed(getattr(plan, key)) for key in lists})
 
 
 def _not_taken(plan: Plan) -> list[Reasoned]:
@@ -233,26 +234,26 @@ def _not_taken(plan: Plan) -> list[Reasoned]:
     return [Reasoned(name=reasoned.name, reason=reasoned.reason.removesuffix(ends[reasoned.name])) for reasoned in plan.rejected]
 
 
-def _list(title: str, reasoned: list[Reasoned]) -> list[str]:
+def _reason_section(title: str, reasoned: list[Reasoned]) -> list[str]:
     names: dict[str, list[str]] = {}
     for entry in reasoned:
         names.setdefault(entry.reason, []).append(display_name(entry.name))
     return (
-        [title, *(f"  {_capital(format_list(listed_names, max_items=9))}: {reason}." for reason, listed_names in names.items())]
+        [title, *(f"  {_capitalized(format_list(listed_names, max_items=9))}: {reason}." for reason, listed_names in names.items())]
         if reasoned
         else []
     )
 
 
 def _sentence(text: str) -> str:
-    return f"{_capital(text)}."
+    return f"{_capitalized(text)}."
 
 
-def _capital(text: str) -> str:
+def _capitalized(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _short(degrees: float) -> str:
+def _format_degrees(degrees: float) -> str:
     return f"{degrees:.1f}".removesuffix(".0")
 
 

@@ -12,12 +12,12 @@ from string import Template
 
 import numpy as np
 
-from skugga.api.report.page.bars import bars, bars_legend, too_long
+from skugga.api.report.page.bars import bars, bars_legend, exceeds_axis
 from skugga.api.report.page.markup import breakable, definitions, script_json, tag
 from skugga.api.report.page.pictures import ErrorPicture, Pictures, palette, report_pictures
-from skugga.api.report.page.scatter import legend, scatter_plot, still
+from skugga.api.report.page.scatter import legend, scatter_file, scatter_plot
 from skugga.api.report.page.table import GLOSSARY, rows_table
-from skugga.api.report.summary import FLOORS, RowFigures, casts, format_summary, on_front
+from skugga.api.report.summary import EXACT_NOISE_FLOORS, RowFigures, casts, format_summary, on_front
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.measure.compare import Comparison
 from skugga.terrain.atomic_files import write_atomically
@@ -25,10 +25,10 @@ from skugga.terrain.atomic_files import write_atomically
 MAX_PAGE_BYTES = 5_000_000
 """Limit of a page. Pictures get the bytes that text and plots leave."""
 
-LONG = 240
+MAX_REMARK_CHARACTERS = 240
 """Longer remarks, in characters, are collapsed."""
 
-LEFT_OUT = "some rows were left out by the time limit"
+LEFT_OUT_REMARK = "some rows were left out by the time limit"
 """Remark on rows that were left out."""
 
 _COLOURS = {
@@ -45,7 +45,7 @@ def write_report(
     base: np.ndarray,
     about: dict[str, str],
     commands: Sequence[str] = (),
-    most_bytes: int = MAX_PAGE_BYTES,
+    max_bytes: int = MAX_PAGE_BYTES,
 ) -> None:
     """Write the page of a comparison.
 
@@ -63,7 +63,7 @@ def write_report(
         Facts of the run, in order. The first two values make the title.
     commands
         Command lines that measure the rows which were left out.
-    most_bytes
+    max_bytes
         Limit of the page; pictures are shrunk to fit.
 
     Raises
@@ -71,12 +71,12 @@ def write_report(
     OSError
         If the file cannot be written.
     """
-    write_atomically(path, report_html(comparison, base, about, commands, most_bytes))
+    write_atomically(path, report_html(comparison, base, about, commands, max_bytes))
 
 
 def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
     """Write the scatter plot of error against time, with the lines of a title, as an SVG file. Raises ``OSError``."""
-    write_atomically(path, still(comparison, title, _part("report.css")))
+    write_atomically(path, scatter_file(comparison, title, _part("report.css")))
 
 
 def report_html(
@@ -84,7 +84,7 @@ def report_html(
     base: np.ndarray,
     about: dict[str, str],
     commands: Sequence[str] = (),
-    most_bytes: int = MAX_PAGE_BYTES,
+    max_bytes: int = MAX_PAGE_BYTES,
 ) -> str:
     """Return the page as text; see ``write_report``."""
     style, script = _part("report.css"), _part("report.js")
@@ -112,11 +112,11 @@ def report_html(
     if not comparison.rows:
         return Template(_part("report.html")).substitute(parts, results="", data="")
     results = _results(comparison)
-    spare = most_bytes - sum(len(text.encode()) for text in (*parts.values(), *results.values())) - 20_000
-    drawn = report_pictures(base, _errors(comparison), spare)
-    results |= {"thumbs": _thumbs(comparison, drawn), "shrunk": _shrunk(drawn)}
+    picture_budget = max_bytes - sum(len(text.encode()) for text in (*parts.values(), *results.values())) - 20_000
+    encoded_pictures = report_pictures(base, _errors(comparison), picture_budget)
+    results |= {"thumbs": _thumbs(comparison, encoded_pictures), "shrunk": _pictures_note(encoded_pictures)}
     return Template(_part("report.html")).substitute(
-        parts, results=Template(_part("results.html")).substitute(results), data=_data(comparison, drawn)
+        parts, results=Template(_part("results.html")).substitute(results), data=_data(comparison, encoded_pictures)
     )
 
 
@@ -133,7 +133,7 @@ def _remark(remark: str) -> str:
     """Return a remark as a sentence; the list after the colon of a long remark is collapsed."""
     sentence = escape(f"{remark[:1].upper()}{remark[1:]}{'' if remark.endswith('.') else '.'}")
     head, colon, tail = sentence.partition(": ")
-    return tag("details", tag("summary", head, colon), tail) if colon and len(sentence) > LONG else sentence
+    return tag("details", tag("summary", head, colon), tail) if colon and len(sentence) > MAX_REMARK_CHARACTERS else sentence
 
 
 def _left_out(commands: Sequence[str]) -> list[str]:
@@ -141,7 +141,7 @@ def _left_out(commands: Sequence[str]) -> list[str]:
     if not commands:
         return []
     lines = "".join(tag("div", tag("code", escape(command))) for command in commands)
-    return [tag("details", tag("summary", f"{LEFT_OUT[:1].upper()}{LEFT_OUT[1:]}. To measure them, run"), lines)]
+    return [tag("details", tag("summary", f"{LEFT_OUT_REMARK[:1].upper()}{LEFT_OUT_REMARK[1:]}. To measure them, run"), lines)]
 
 
 def _shares(comparison: Comparison) -> dict[str, str]:
@@ -151,7 +151,7 @@ def _shares(comparison: Comparison) -> dict[str, str]:
         "truth itself is uncertain",
         "rendered grid": f"{format_percent(comparison.surface)} of the surface differs from that of the full raster",
         "noise floor": f"{format_percent(comparison.noise_floor)} is the error of truth itself with other sub-samples; "
-        f"errors up to {format_percent(FLOORS * comparison.noise_floor)} are called exact",
+        f"errors up to {format_percent(EXACT_NOISE_FLOORS * comparison.noise_floor)} are called exact",
     }
 
 
@@ -163,7 +163,7 @@ def _results(comparison: Comparison) -> dict[str, str]:
         "scatter_legend": legend(comparison),
         "bars": bars(figures),
         "bars_legend": bars_legend(figures),
-        "cut": "A bar with a cut is longer than the axis; its stages keep their proportions." if too_long(figures) else "",
+        "cut": "A bar with a cut is longer than the axis; its stages keep their proportions." if exceeds_axis(figures) else "",
         "options": "".join(tag("option", escape(f["name"]), value=k) for k, f in enumerate(figures)),
         "table": rows_table(comparison),
         "cold": "A time with a question mark is that of a first run, which includes compilation and allocation." if cold else "",
@@ -189,42 +189,43 @@ def _errors(comparison: Comparison) -> list[ErrorPicture]:
     ]
 
 
-def _shrunk(drawn: Pictures) -> str:
-    steps = f"Visibility is shown in {drawn.levels} steps."
-    if drawn.factor == 1:
+def _pictures_note(encoded_pictures: Pictures) -> str:
+    steps = f"Visibility is shown in {encoded_pictures.levels} steps."
+    if encoded_pictures.factor == 1:
         return f"Pictures have the pixels of the view. {steps}"
     return (
-        f"To keep this page small, each pixel of a picture covers {drawn.factor} × {drawn.factor} pixels of the view; "
+        f"To keep this page small, each pixel of a picture covers {encoded_pictures.factor} × "
+        f"{encoded_pictures.factor} pixels of the view; "
         f"it is wrong if any of these is wrong. {steps}"
     )
 
 
-def _data(comparison: Comparison, drawn: Pictures) -> str:
+def _data(comparison: Comparison, encoded_pictures: Pictures) -> str:
     figures = [row.figures for row in comparison.rows]
     row_numbers = [k for k, f in enumerate(figures) if on_front(f, comparison.light)] or list(range(len(figures)))
     row_numbers.sort(key=lambda k: (figures[k]["ms_median"], figures[k][comparison.error]))
     value = {
-        "rows": drawn.rows,
-        "cols": drawn.cols,
-        "levels": drawn.levels,
-        "palette": palette(drawn.levels).tolist(),
-        "ground": drawn.ground,
+        "rows": encoded_pictures.rows,
+        "cols": encoded_pictures.cols,
+        "levels": encoded_pictures.levels,
+        "palette": palette(encoded_pictures.levels).tolist(),
+        "ground": encoded_pictures.ground,
         "left": row_numbers[0],
         "right": row_numbers[-1],
     }
     return tag("script", script_json(value), type="application/json", id="data")
 
 
-def _thumbs(comparison: Comparison, drawn: Pictures) -> str:
+def _thumbs(comparison: Comparison, encoded_pictures: Pictures) -> str:
     figures = [row.figures for row in comparison.rows]
     order = sorted(range(len(figures)), key=lambda k: (figures[k][comparison.error], figures[k]["ms_median"]))
-    return "".join(_thumb(k, figures[k], comparison.error, drawn) for k in order)
+    return "".join(_thumb(k, figures[k], comparison.error, encoded_pictures) for k in order)
 
 
-def _thumb(k: int, figures: RowFigures, error: str, drawn: Pictures) -> str:
+def _thumb(k: int, figures: RowFigures, error: str, encoded_pictures: Pictures) -> str:
     caption = f"{format_percent(figures[error])}, {format_duration(figures['ms_median'])}"
     shares = f"{format_percent(figures['false_shadow'])} false and {format_percent(figures['missed_shadow'])} missed shadow"
     alt = f"Errors of {figures['name']}: {shares}"
-    picture = tag("img", src=drawn.of_rows[k], alt=alt, width=drawn.cols, height=drawn.rows)
+    picture = tag("img", src=encoded_pictures.row_uris[k], alt=alt, width=encoded_pictures.cols, height=encoded_pictures.rows)
     name = tag("figcaption", tag("b", breakable(figures["name"])), tag("span", escape(caption)))
     return tag("figure", tag("a", picture, href=f"#row-{k}", data_row=k), name, class_="front" if figures["pareto"] else None)

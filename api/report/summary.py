@@ -8,16 +8,16 @@ from typing import Any
 from skugga.selector.formatting import format_duration, format_list, format_percent, format_two_digits
 from skugga.selector.measure.compare import Comparison
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 
 RowFigures = dict[str, Any]
 
 
-FLOORS = 3.0
+EXACT_NOISE_FLOORS = 3.0
 """An error below this multiple of the noise floor counts as exact."""
-HARDLY = 1.05
+EQUAL_TIME_RATIO = 1.05
 """Times that differ by less than this ratio count as equal."""
-SMALL_ERROR = 0.03
+DEFAULT_MAX_ERROR = 0.03
 """Default maximum error of levels."""
 
 
@@ -25,16 +25,17 @@ def format_summary(comparison: Comparison) -> list[str]:
     """Return sentences on the rows that cast shadows; an empty list if no row does.
 
     The cost of accuracy follows the Pareto front from its fastest row, in steps that at least halve the error. It ends where the
-    error is 0 or below ``FLOORS`` times the noise floor, since truth is not more accurate than this.
+    error is 0 or below ``EXACT_NOISE_FLOORS`` times the noise floor, since truth is not more accurate than this.
     """
     rows = [row.figures for row in comparison.rows if casts(row.figures, comparison.light)]
     if not rows:
         return []
-    summary = _SummaryText(comparison.error, FLOORS * comparison.noise_floor)
+    summary = _SummaryText(comparison.error, EXACT_NOISE_FLOORS * comparison.noise_floor)
     front = sorted((f for f in rows if f["pareto"]), key=lambda f: (f["ms_median"], summary.of(f)))
     return [
-        *summary.extremes(rows), *summary.prices(front), *_default(rows, comparison), *_softest(rows, comparison.error),
-        *summary.failures(rows), *_never_on_the_front(rows, comparison.light),
+        *summary.extremes(rows), *summary.prices(front), *_default_sentences(rows, comparison),
+        *_softest_sentences(rows, comparison.error),
+        *summary.failures(rows), *_dominated_sentences(rows, comparison.light),
     ]  # fmt: skip
 
 
@@ -86,34 +87,35 @@ class _SummaryText:
             return [f"{best['name']} is both the fastest and the most accurate: {self._result(best)}{others}."]
         times = f", {_times(best['ms_median'] / fastest['ms_median'])} the time" if fastest["ms_median"] > 0.0 else ""
         if exact > 1:
-            max_items = f"{exact} rows are exact within the noise of truth; the fastest of them is {best['name']}"
-            max_items = f"{max_items}, in {format_duration(best['ms_median'])}"
+            accuracy_sentence = f"{exact} rows are exact within the noise of truth; the fastest of them is {best['name']}"
+            accuracy_sentence = f"{accuracy_sentence}, in {format_duration(best['ms_median'])}"
         else:
-            max_items = f"The most accurate is {best['name']}: {self._result(best)}"
-        return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{max_items}{times}."]
+            accuracy_sentence = f"The most accurate is {best['name']}: {self._result(best)}"
+        return [f"The fastest is {fastest['name']}: {self._result(fastest)}.", f"{accuracy_sentence}{times}."]
 
     def prices(self, front: list[RowFigures]) -> list[str]:
-        sentences, here = [], front[0] if front else None
-        while here is not None and not self.exact(here):
-            next_ = next((f for f in front if self.exact(f) or self.of(f) <= self.of(here) / 2.0), None)
-            if next_ is not None and here["ms_median"] > 0.0:
-                sentences.append(self._price(here, next_))
-            here = next_
+        sentences, current = [], front[0] if front else None
+        while current is not None and not self.exact(current):
+            next_ = next((f for f in front if self.exact(f) or self.of(f) <= self.of(current) / 2.0), None)
+            if next_ is not None and current["ms_median"] > 0.0:
+                sentences.append(self._price(current, next_))
+            current = next_
         return sentences
 
-    def _price(self, here: RowFigures, there: RowFigures) -> str:
-        ratio = there["ms_median"] / here["ms_median"]
+    def _price(self, current: RowFigures, better: RowFigures) -> str:
+        ratio = better["ms_median"] / current["ms_median"]
         steps = (
-            f"{f'costs {_times(ratio)} the' if ratio >= HARDLY else 'takes hardly more'} time ({here['name']} to {there['name']})"
+            f"{f'costs {_times(ratio)} the' if ratio >= EQUAL_TIME_RATIO else 'takes hardly more'} time "
+            f"({current['name']} to {better['name']})"
         )
-        if self.exact(there):
-            return f"Bringing the error from {format_percent(self.of(here))} down to the noise of truth {steps}."
-        if self.of(there) > self.of(here) / 2.5:
-            return f"Halving the error from {format_percent(self.of(here))} {steps}."
-        return f"Bringing the error from {format_percent(self.of(here))} down to {format_percent(self.of(there))} {steps}."
+        if self.exact(better):
+            return f"Bringing the error from {format_percent(self.of(current))} down to the noise of truth {steps}."
+        if self.of(better) > self.of(current) / 2.5:
+            return f"Halving the error from {format_percent(self.of(current))} {steps}."
+        return f"Bringing the error from {format_percent(self.of(current))} down to {format_percent(self.of(better))} {steps}."
 
     def failures(self, rows: list[RowFigures]) -> list[str]:
-        failed = [f for f in rows if f["interior"] > MOST_INTERIOR and self.of(f) <= SMALL_ERROR]
+        failed = [f for f in rows if f["interior"] > MAX_INTERIOR and self.of(f) <= DEFAULT_MAX_ERROR]
         if not failed:
             return []
         worst = max(f["interior"] for f in failed)
@@ -129,7 +131,7 @@ class _SummaryText:
         return f"{wrong}, in {format_duration(figures['ms_median'])}"
 
 
-def _default(rows: list[RowFigures], comparison: Comparison) -> list[str]:
+def _default_sentences(rows: list[RowFigures], comparison: Comparison) -> list[str]:
     """Return a sentence on the default row: it is on a Pareto front, or another row is better in no more time."""
     default = next((f for f in rows if f["name"] == comparison.default), None)
     if default is None:
@@ -147,7 +149,7 @@ def _default(rows: list[RowFigures], comparison: Comparison) -> list[str]:
     return [f"Better than the default, {default['name']}, in no more time is {better['name']}."]
 
 
-def _softest(rows: list[RowFigures], error: str) -> list[str]:
+def _softest_sentences(rows: list[RowFigures], error: str) -> list[str]:
     """Return a sentence on the row with the smallest soft error, unless it is also the most accurate one."""
     softest, best = (min(rows, key=lambda f: (f[by], f["ms_median"])) for by in ("soft_error", error))
     if softest is best:
@@ -156,14 +158,14 @@ def _softest(rows: list[RowFigures], error: str) -> list[str]:
     return [f"Nearest to the soft edges of truth is {softest['name']}: {soft_error} soft error, in {time}."]
 
 
-def _never_on_the_front(rows: list[RowFigures], light: str) -> list[str]:
-    on_it = {name for f in rows if f["pareto"] for name in _algorithms(f, light)}
-    lost = [name for name in dict.fromkeys(name for f in rows for name in _algorithms(f, light)) if name not in on_it]
-    if not lost or not on_it:
+def _dominated_sentences(rows: list[RowFigures], light: str) -> list[str]:
+    on_front_names = {name for f in rows if f["pareto"] for name in _algorithms(f, light)}
+    dominated = [name for name in dict.fromkeys(name for f in rows for name in _algorithms(f, light)) if name not in on_front_names]
+    if not dominated or not on_front_names:
         return []
-    serve, are, pronoun = ("serves", "is", "its") if len(lost) == 1 else ("serve", "are", "their")
+    serve, are, pronoun = ("serves", "is", "its") if len(dominated) == 1 else ("serve", "are", "their")
     return [
-        f"{format_list(lost, max_items=6)} {serve} this view, but {are} never on the front: "
+        f"{format_list(dominated, max_items=6)} {serve} this view, but {are} never on the front: "
         f"at each of {pronoun} settings that were compared, something else is no slower and no less accurate."
     ]
 

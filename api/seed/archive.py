@@ -189,20 +189,20 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
         raise ValueError("a tile without bytes")
 
     keys = np.ascontiguousarray(digests).view(f"V{DIGEST_BYTES}")[:, 0]
-    goes_on = (ids[1:] == ids[:-1] + 1) & (keys[1:] == keys[:-1]) & (lengths[1:] == lengths[:-1])
-    begins = np.flatnonzero(np.concatenate([[True], ~goes_on]))  # first tile of every entry
-    runs = np.diff(np.append(begins, len(ids))).astype(np.uint64)
+    continues_run = (ids[1:] == ids[:-1] + 1) & (keys[1:] == keys[:-1]) & (lengths[1:] == lengths[:-1])
+    entry_starts = np.flatnonzero(np.concatenate([[True], ~continues_run]))  # first tile of every entry
+    runs = np.diff(np.append(entry_starts, len(ids))).astype(np.uint64)
     # The entry whose bytes each entry refers to: the first equal one.
-    source = np.arange(len(begins))
-    small = np.flatnonzero(lengths[begins] < SHARED_BELOW_BYTES)
-    _, first, which = np.unique(keys[begins[small]], return_index=True, return_inverse=True)
-    source[small] = small[first[which]]
-    copied = source == np.arange(len(begins))
-    entry_lengths = lengths[begins]
+    source = np.arange(len(entry_starts))
+    small = np.flatnonzero(lengths[entry_starts] < SHARED_BELOW_BYTES)
+    _, first, inverse = np.unique(keys[entry_starts[small]], return_index=True, return_inverse=True)
+    source[small] = small[first[inverse]]
+    copied = source == np.arange(len(entry_starts))
+    entry_lengths = lengths[entry_starts]
     ends = np.cumsum(np.where(copied, entry_lengths, 0), dtype=np.uint64)
     stored = np.zeros(len(ids), np.bool_)
-    stored[begins[copied]] = True
-    return _Layout(stored, ids[begins], (ends - entry_lengths)[source], entry_lengths, runs, int(ends[-1]))
+    stored[entry_starts[copied]] = True
+    return _Layout(stored, ids[entry_starts], (ends - entry_lengths)[source], entry_lengths, runs, int(ends[-1]))
 
 
 def _head(layout: _Layout, facts: ArchiveFacts) -> bytes:
@@ -249,20 +249,20 @@ def _head(layout: _Layout, facts: ArchiveFacts) -> bytes:
 
 def _directories(layout: _Layout) -> tuple[bytes, bytes]:
     """Return the root directory and the leaf directories. The leaves grow until the root fits its upper bound."""
-    count, most = len(layout.ids), ROOT_END - HEADER_BYTES
+    count, max_root_bytes = len(layout.ids), ROOT_END - HEADER_BYTES
     if count <= ROOT_ENTRIES:
         root = serialize_directory(_entries(layout, 0, count))
-        if len(root) <= most:
+        if len(root) <= max_root_bytes:
             return root, b""
     leaf_entries = LEAF_ENTRIES
     while True:
-        of_leaves, leaves = [], bytearray()
+        root_entries, leaves = [], bytearray()
         for first in range(0, count, leaf_entries):
             leaf = serialize_directory(_entries(layout, first, min(first + leaf_entries, count)))
-            of_leaves.append(Entry(int(layout.ids[first]), len(leaves), len(leaf), 0))
+            root_entries.append(Entry(int(layout.ids[first]), len(leaves), len(leaf), 0))
             leaves += leaf
-        root = serialize_directory(of_leaves)
-        if len(root) <= most:
+        root = serialize_directory(root_entries)
+        if len(root) <= max_root_bytes:
             return root, bytes(leaves)
         leaf_entries *= 2
 

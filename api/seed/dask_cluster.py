@@ -17,23 +17,23 @@ from contextlib import suppress
 from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any
 
-from skugga.api.seed.messages import Drawn, NotDrawn, Task
+from skugga.api.seed.messages import Task, TaskFailure, TaskResult
 from skugga.api.seed.storage import store_at
 from skugga.terrain.errors import GraphicsError, InputError, Problem, RenderError
 
 if TYPE_CHECKING:
     from skugga.api.seed.run_spec import RunSpec
 
-NOBODY_S = 120.0
+CLUSTER_TIMEOUT_S = 120.0
 """Timeout of a lost scheduler's return, and of the first worker: either may be restarting."""
 
-WORKERS_EVERY_S = 1.0
+WORKER_POLL_S = 1.0
 """Interval between queries for the list of workers."""
 
-AHEAD = 2
+TASKS_PER_WORKER = 2
 """Tasks queued per worker: the one being drawn, and the next one."""
 
-GONE = (OSError, ValueError, RuntimeError, TimeoutError, asyncio.CancelledError, concurrent.futures.CancelledError)
+SCHEDULER_LOST_ERRORS = (OSError, ValueError, RuntimeError, TimeoutError, asyncio.CancelledError, concurrent.futures.CancelledError)
 """Errors that Dask's client raises when its scheduler is gone."""
 
 log = logging.getLogger("skugga")
@@ -46,7 +46,7 @@ class DaskCluster:
     scheduler answers.
     """
 
-    def __init__(self, address: str, nobody_s: float = NOBODY_S) -> None:
+    def __init__(self, address: str, cluster_timeout_s: float = CLUSTER_TIMEOUT_S) -> None:
         try:
             import distributed
 
@@ -56,15 +56,15 @@ class DaskCluster:
                 "--scheduler", Problem("the package distributed is not installed"), "Run pip install 'skugga[cluster]'"
             ) from None
         self._distributed: Any = distributed
-        self._on_worker: Any = dask_worker
+        self._worker_module: Any = dask_worker
         self._plugin = f"skugga-{secrets.token_hex(8)}"
-        self._address, self._nobody_s = address, nobody_s
+        self._address, self._cluster_timeout_s = address, cluster_timeout_s
         self._run: tuple[str, str] | None = None
         self._running: dict[int, tuple[Task, Any]] = {}
-        self._news: Queue[tuple[int, Any]] = Queue()
+        self._finished_futures: Queue[tuple[int, Any]] = Queue()
         self._refused: dict[str, str] = {}
         self._workers: list[str] = []
-        self._looked, self._seen = -WORKERS_EVERY_S, clock.monotonic()
+        self._polled_at_s, self._present_at_s = -WORKER_POLL_S, clock.monotonic()
         try:
             self._client: Any = self._distributed.Client(address, timeout=10.0, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -78,49 +78,49 @@ class DaskCluster:
         content = spec.model_dump_json().encode()
         name = f"run-{hashlib.blake2b(content, digest_size=8).hexdigest()}.json"
         store_at(shards).write(name, content)
-        self._run, self._seen = (shards, name), clock.monotonic()
+        self._run, self._present_at_s = (shards, name), clock.monotonic()
         return self
 
     def free(self) -> Sequence[int]:
         """Implement ``Runner.free`` with a single lane, since Dask chooses the worker of a task."""
-        return [0] * max(AHEAD * len(self._able()) - len(self._running), 0)
+        return [0] * max(TASKS_PER_WORKER * len(self._eligible_workers()) - len(self._running), 0)
 
     def submit(self, task: Task, lane: int = 0) -> None:
         """Implement ``Runner.submit``."""
         assert self._run is not None
-        able = self._able()
+        eligible = self._eligible_workers()
         self._running[task.id] = task, None
         try:
             future = self._client.submit(
-                self._on_worker.draw_on_worker,
+                self._worker_module.draw_on_worker,
                 *self._run,
                 tuple(task),
                 pure=False,
                 retries=0,
-                workers=able if self._refused else None,
+                workers=eligible if self._refused else None,
             )
-        except GONE:
-            self._looked = -WORKERS_EVERY_S  # it is resubmitted once the scheduler returns
+        except SCHEDULER_LOST_ERRORS:
+            self._polled_at_s = -WORKER_POLL_S  # it is resubmitted once the scheduler returns
             return
         self._running[task.id] = task, future
-        future.add_done_callback(lambda done, number=task.id: self._news.put((number, done)))
+        future.add_done_callback(lambda done, number=task.id: self._finished_futures.put((number, done)))
 
-    def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
+    def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:
         """Implement ``Runner.wait``."""
-        self._look_for_workers()
-        outcomes: list[Drawn | NotDrawn] = []
+        self._update_workers()
+        outcomes: list[TaskResult | TaskFailure] = []
         until = clock.monotonic() + timeout_s
         while not outcomes and (left := until - clock.monotonic()) > 0.0:
             try:
-                number, future = self._news.get(timeout=min(left, WORKERS_EVERY_S))
+                number, future = self._finished_futures.get(timeout=min(left, WORKER_POLL_S))
             except Empty:
-                self._look_for_workers()
+                self._update_workers()
                 continue
             if number not in self._running or self._running[number][1] is not future:
                 continue
             task = self._running[number][0]
             if future.cancelled() or future.status == "lost":
-                self._reach_again()
+                self._reconnect()
                 continue
             outcomes += self._outcome(task, future)
         return outcomes
@@ -140,77 +140,77 @@ class DaskCluster:
     def _warm_up(self) -> None:
         """Start a render process on every worker, now and when a worker joins."""
         try:
-            self._client.register_plugin(self._on_worker.WarmProcess(), name=self._plugin)
+            self._client.register_plugin(self._worker_module.WarmUpPlugin(), name=self._plugin)
         except Exception as error:  # an error of a worker, or a lost scheduler: the first task reports it
             log.warning("%s: render processes cannot warm up before their first tasks: %s", self._address, _short(error))
 
-    def _outcome(self, task: Task, future: Any) -> list[Drawn | NotDrawn]:
+    def _outcome(self, task: Task, future: Any) -> list[TaskResult | TaskFailure]:
         try:
             if future.status != "finished":
-                why = _short(future.exception(timeout=5.0))
+                reason = _short(future.exception(timeout=5.0))
                 del self._running[task.id]
-                return [NotDrawn(task.id, f"its Dask worker ended while drawing it: {why}", "died")]
-            said: Drawn | NotDrawn = future.result(timeout=30.0)
-        except GONE:  # the result is lost with the scheduler
-            self._reach_again()
+                return [TaskFailure(task.id, f"its Dask worker ended while drawing it: {reason}", "died")]
+            message: TaskResult | TaskFailure = future.result(timeout=30.0)
+        except SCHEDULER_LOST_ERRORS:  # the result is lost with the scheduler
+            self._reconnect()
             return []
         del self._running[task.id]
-        if isinstance(said, NotDrawn) and said.how == "refused":
-            log.warning("worker %s is refused: %s", said.worker, said.error)
-            self._refused[said.worker] = said.error
-            if not self._able():
-                raise GraphicsError(f"no worker of the cluster can draw this run: {said.error}")
+        if isinstance(message, TaskFailure) and message.how == "refused":
+            log.warning("worker %s is refused: %s", message.worker, message.error)
+            self._refused[message.worker] = message.error
+            if not self._eligible_workers():
+                raise GraphicsError(f"no worker of the cluster can draw this run: {message.error}")
             self.submit(task)
             return []
-        return [said]
+        return [message]
 
-    def _able(self) -> list[str]:
+    def _eligible_workers(self) -> list[str]:
         return [worker for worker in self._workers if worker not in self._refused]
 
-    def _look_for_workers(self) -> None:
+    def _update_workers(self) -> None:
         """Update the list of workers. Raises ``RenderError`` if none has been present for long."""
         now = clock.monotonic()
-        if now - self._looked < WORKERS_EVERY_S:
+        if now - self._polled_at_s < WORKER_POLL_S:
             return
-        self._looked = now
+        self._polled_at_s = now
         if self._client.status != "running":
-            self._reach_again()
+            self._reconnect()
             return
         try:
             self._workers = sorted(self._client.nthreads())
-        except GONE:
-            self._reach_again()
+        except SCHEDULER_LOST_ERRORS:
+            self._reconnect()
             return
         for task in [task for task, future in self._running.values() if future is None]:
             self.submit(task)
         if self._workers:
-            self._seen = now
-        elif now - self._seen > self._nobody_s:
+            self._present_at_s = now
+        elif now - self._present_at_s > self._cluster_timeout_s:
             raise RenderError(
-                f"{self._address}: no worker joined within {self._nobody_s:g} s. Run the same command again to resume."
+                f"{self._address}: no worker joined within {self._cluster_timeout_s:g} s. Run the same command again to resume."
             )
 
-    def _reach_again(self) -> None:
+    def _reconnect(self) -> None:
         """Reconnect to a lost scheduler, and resubmit its tasks. Raises ``RenderError``."""
         lost = [task for task, _ in self._running.values()]
         self._running = {}
         log.warning("the scheduler %s does not answer; %d tasks are resubmitted when it does", self._address, len(lost))
         with suppress(Exception):  # the scheduler is gone
             self._client.close(timeout=1.0)
-        until = clock.monotonic() + self._nobody_s
+        until = clock.monotonic() + self._cluster_timeout_s
         while True:
             try:
                 self._client = self._distributed.Client(self._address, timeout=5.0, set_as_default=False)
                 break
-            except GONE as error:
+            except SCHEDULER_LOST_ERRORS as error:
                 if clock.monotonic() > until:
                     raise RenderError(
-                        f"{self._address}: the scheduler did not return within {self._nobody_s:g} s ({_short(error)}). "
+                        f"{self._address}: the scheduler did not return within {self._cluster_timeout_s:g} s ({_short(error)}). "
                         f"Run the same command again to resume."
                     ) from None
                 clock.sleep(1.0)
         self._warm_up()
-        self._workers, self._seen, self._refused = [], clock.monotonic(), {}
+        self._workers, self._present_at_s, self._refused = [], clock.monotonic(), {}
         for task in lost:
             self.submit(task)
 

@@ -8,13 +8,13 @@ from typing import Any
 
 from distributed import WorkerPlugin, get_worker
 
-from skugga.api.seed.messages import Begun, Drawn, NotDrawn, Task
-from skugga.api.seed.render_process import RenderProcess, threads_of_one
+from skugga.api.seed.messages import RunReady, Task, TaskFailure, TaskResult
+from skugga.api.seed.render_process import RenderProcess, thread_environment
 from skugga.api.seed.storage import store_at
 from skugga.terrain.errors import GraphicsError
 
 
-class KeptProcess:
+class PersistentProcess:
     """The render process of a Dask worker: either of the current run, or warm for the next one."""
 
     def __init__(self) -> None:
@@ -27,25 +27,25 @@ class KeptProcess:
         if self._lock.acquire(blocking=False):  # otherwise a task is being drawn
             try:
                 if self._process is None:
-                    self._process = RenderProcess(threads_of_one(1))
+                    self._process = RenderProcess(thread_environment(1))
             finally:
                 self._lock.release()
 
-    def draw(self, shards: str, spec: str, task: Task) -> Drawn | NotDrawn:
+    def draw(self, shards: str, spec: str, task: Task) -> TaskResult | TaskFailure:
         """Draw a task of a run."""
         with self._lock:
             try:
-                process = self._of((shards, spec))
+                process = self._process_for((shards, spec))
                 process.draw(task)
-                said = process.hear()
-                assert not isinstance(said, Begun)
-                return said
+                message = process.receive()
+                assert not isinstance(message, RunReady)
+                return message
             except GraphicsError as error:
                 self._end()
-                return NotDrawn(task.id, str(error), "refused")
+                return TaskFailure(task.id, str(error), "refused")
             except EOFError as ended:
                 self._end()
-                return NotDrawn(task.id, str(ended), "died")
+                return TaskFailure(task.id, str(ended), "died")
 
     def end(self) -> None:
         """End the process unless it draws. A drawing process belongs to another run, or ends when the next run begins."""
@@ -55,14 +55,14 @@ class KeptProcess:
             finally:
                 self._lock.release()
 
-    def _of(self, run: tuple[str, str]) -> RenderProcess:
+    def _process_for(self, run: tuple[str, str]) -> RenderProcess:
         if self._run not in (None, run):
             self._end()
         if self._process is None:
-            self._process = RenderProcess(threads_of_one(1))
+            self._process = RenderProcess(thread_environment(1))
         if self._run is None:
             self._process.begin(store_at(run[0]).read(run[1]).decode(), run[0])
-            self._process.hear()
+            self._process.receive()
             self._run = run
         return self._process
 
@@ -72,22 +72,22 @@ class KeptProcess:
         self._process = self._run = None
 
 
-kept = KeptProcess()
+persistent_process = PersistentProcess()
 """The render process of this Dask worker."""
 
 
-class WarmProcess(WorkerPlugin):
+class WarmUpPlugin(WorkerPlugin):
     """Dask plugin that gives a worker a warm render process from the time it joins until it or the run ends."""
 
     def setup(self, worker: Any) -> None:
         """Implement Dask's hook: the worker has joined, or the run begins."""
-        kept.warm_up()
+        persistent_process.warm_up()
 
     def teardown(self, worker: Any) -> None:
         """Implement Dask's hook: the worker leaves, or the run has ended."""
-        kept.end()
+        persistent_process.end()
 
 
-def draw_on_worker(shards: str, spec: str, task: tuple[Any, ...]) -> Drawn | NotDrawn:
+def draw_on_worker(shards: str, spec: str, task: tuple[Any, ...]) -> TaskResult | TaskFailure:
     """Draw a task on a Dask worker. ``spec`` names the file in the shard store that holds the ``RunSpec``."""
-    return replace(kept.draw(shards, spec, Task(*task)), worker=get_worker().address)
+    return replace(persistent_process.draw(shards, spec, Task(*task)), worker=get_worker().address)

@@ -13,7 +13,7 @@ from skugga.api.compute import compute, draw_picture
 from skugga.api.products import SEEDED_PRODUCTS, product_named
 from skugga.api.products.product import PICTURE_FORMATS
 from skugga.api.seed.archive import ShardIndex
-from skugga.api.seed.messages import Drawn, Task
+from skugga.api.seed.messages import Task, TaskResult
 from skugga.api.seed.run_spec import MATRIX_SET, RunSpec
 from skugga.api.seed.storage import ShardStore
 from skugga.api.workers.block_tiles import BLOCK_TILES, Place, empty_tile, tiles_of_array, tiles_of_picture
@@ -37,18 +37,18 @@ class Drawer:
         loaded = load_level(spec.level)
         declare_product(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else MAPS)
         self._scene = build_scene(loaded)
-        self._under = {number: self._scene.with_sun(sun) for number, sun in enumerate(spec.suns)}
+        self._scenes_by_sun = {number: self._scene.with_sun(sun) for number, sun in enumerate(spec.suns)}
 
-    def draw(self, task: Task) -> Drawn:
+    def draw(self, task: Task) -> TaskResult:
         """Draw a task and write its shard. Raises ``SkuggaError`` and ``OSError``."""
         start = clock.perf_counter()
-        tiles, encode_s = tiles_of_task(self._under[task.sun], self._spec, task)
+        tiles, encode_s = tiles_of_task(self._scenes_by_sun[task.sun], self._spec, task)
         trim_bare_ground_cache(1)  # the next task may reuse this block under another sun, but no earlier block
         index, content = ShardIndex.of(tiles)
         if content:
             self._store.write(task.shard, content)
         peak_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * RSS_UNIT_BYTES
-        return Drawn(task.id, index.to_bytes(), len(content), clock.perf_counter() - start, encode_s, peak_bytes)
+        return TaskResult(task.id, index.to_bytes(), len(content), clock.perf_counter() - start, encode_s, peak_bytes)
 
     def close(self) -> None:
         """Close the level."""

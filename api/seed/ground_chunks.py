@@ -11,10 +11,10 @@ import numpy as np
 
 from skugga.terrain.ground.elevation import Elevation
 
-LEAST_SIDE = 64
-"""Side of a chunk in cells. It doubles for large rasters until ``MOST_CHUNKS`` suffice."""
+MIN_SIDE = 64
+"""Side of a chunk in cells. It doubles for large rasters until ``MAX_CHUNKS`` suffice."""
 
-MOST_CHUNKS = 16_384
+MAX_CHUNKS = 16_384
 """Upper bound of the number of chunks of a raster."""
 
 READ_CELLS = 2**23
@@ -67,25 +67,25 @@ class GroundChunks:
 
 def ground_chunks(elevation: Elevation) -> GroundChunks:
     """Compute the chunks of a raster, which is read once. Raises ``SourceError`` for an unreadable part."""
-    side = LEAST_SIDE
-    while -(-elevation.rows // side) * -(-elevation.cols // side) > MOST_CHUNKS:
+    side = MIN_SIDE
+    while -(-elevation.rows // side) * -(-elevation.cols // side) > MAX_CHUNKS:
         side *= 2
     shape = -(-elevation.rows // side), -(-elevation.cols // side)
     factors = [factor for factor in elevation.overview_factors if factor <= side]
     digests = np.zeros((*shape, CHUNK_DIGEST_BYTES), np.uint8)
     low_m, high_m = (np.full(shape, np.nan, np.float32) for _ in range(2))
-    holes, across = False, max(READ_CELLS // side // side, 1)
+    holes, chunks_per_read = False, max(READ_CELLS // side // side, 1)
     for i in range(shape[0]):
-        for first in range(0, shape[1], across):
+        for first in range(0, shape[1], chunks_per_read):
             rows = slice(i * side, min((i + 1) * side, elevation.rows))
-            cols = slice(first * side, min((first + across) * side, elevation.cols))
-            stored, known = elevation.stored(rows, cols)
-            coarse = [_coarser(elevation, rows, cols, factor) for factor in factors]
-            for j in range(first, min(first + across, shape[1])):
-                here = slice((j - first) * side, (j - first + 1) * side)
-                cells, valid = stored[:, here], known[:, here]
+            cols = slice(first * side, min((first + chunks_per_read) * side, elevation.cols))
+            stored, stored_valid = elevation.stored(rows, cols)
+            overviews = [_overview_cells(elevation, rows, cols, factor) for factor in factors]
+            for j in range(first, min(first + chunks_per_read, shape[1])):
+                chunk_cols = slice((j - first) * side, (j - first + 1) * side)
+                cells, valid = stored[:, chunk_cols], stored_valid[:, chunk_cols]
                 digest = hashlib.blake2b(digest_size=CHUNK_DIGEST_BYTES)
-                for part in (cells, valid, *(each[:, (j - first) * (side // f) :][:, : side // f] for f, each in coarse)):
+                for part in (cells, valid, *(each[:, (j - first) * (side // f) :][:, : side // f] for f, each in overviews)):
                     digest.update(np.ascontiguousarray(part).tobytes())
                 digests[i, j] = np.frombuffer(digest.digest(), np.uint8)
                 holes |= not valid.all()
@@ -94,7 +94,7 @@ def ground_chunks(elevation: Elevation) -> GroundChunks:
     return GroundChunks(side, digests, low_m, high_m, holes)
 
 
-def _coarser(elevation: Elevation, rows: slice, cols: slice, factor: int) -> tuple[int, np.ndarray]:
+def _overview_cells(elevation: Elevation, rows: slice, cols: slice, factor: int) -> tuple[int, np.ndarray]:
     """Return an overview's factor and its cells in a window."""
     shape = max((rows.stop - rows.start) // factor, 1), max((cols.stop - cols.start) // factor, 1)
     return factor, elevation.stored(rows, cols, shape)[0]

@@ -16,7 +16,7 @@ from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.linked_files import is_remote, linked_files, sidecar_files
 from skugga.terrain.scene import Scene
 
-NO_PICTURE = {"title", "attribution", "views", "shadows", "sun", "archive"}
+KEYS_WITHOUT_EFFECT = {"title", "attribution", "views", "shadows", "sun", "archive"}
 """Keys of a level that do not affect tiles directly. The plans include ``shadows``, and the sun has its own digest."""
 
 READ_BYTES = 2**20
@@ -24,7 +24,7 @@ READ_BYTES = 2**20
 
 def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
     """Return the digest of everything in a level that affects its tiles, except the ground's heights. Raises ``OSError``."""
-    said = loaded.level.model_dump(mode="json", exclude=NO_PICTURE)
+    settings = loaded.level.model_dump(mode="json", exclude=KEYS_WITHOUT_EFFECT)
     terrain = loaded.level.terrain.source
     contents = {name: contents_digest(loaded.resolve(name), table) for name in _names(loaded) if name != terrain}
     if terrain is not None:
@@ -33,22 +33,24 @@ def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
     facts = {
         "shape": ground.shape, "cells": [float(v) for v in (*ground.xy(0, 0), *ground.xy(1, 1))], "crs": ground.crs.to_wkt(),
     }  # fmt: skip
-    return digest_of_json([_without_paths(said, contents), facts])
+    return digest_of_json([_without_paths(settings, contents), facts])
 
 
-def ground_of(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> GroundChunks:
+def ground_chunks_of(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> GroundChunks:
     """Return the chunks of a level's ground. They are recomputed only if one of the ground's files has changed.
 
     Raises ``SourceError``.
     """
     source = loaded.source
     stamp = _stamp_of(source) if source and Path(source).exists() else None
-    asked = f"{stamp} {loaded.level.terrain.model_dump_json()} {None if loaded.level.water is None else loaded.level.water.level}"
-    kept = table.get("ground")
-    if stamp is not None and kept is not None and table.get("ground_stamp") == asked.encode():
-        return GroundChunks.from_bytes(kept)
+    cache_key = (
+        f"{stamp} {loaded.level.terrain.model_dump_json()} {None if loaded.level.water is None else loaded.level.water.level}"
+    )
+    cached = table.get("ground")
+    if stamp is not None and cached is not None and table.get("ground_stamp") == cache_key.encode():
+        return GroundChunks.from_bytes(cached)
     chunks = ground_chunks(scene.elevation)
-    table.put(ground=chunks.to_bytes(), ground_stamp=asked.encode())
+    table.put(ground=chunks.to_bytes(), ground_stamp=cache_key.encode())
     return chunks
 
 
@@ -103,8 +105,8 @@ def _without_paths(value: Any, contents: dict[str, str]) -> Any:
 
 def _files_of(source: str) -> list[Path]:
     found = [Path(source), *(Path(each) if not is_remote(each) else Path(each) for each in linked_files(source))]
-    beside = [each for path in found if not is_remote(str(path)) for each in sidecar_files(path)]
-    return [path for path in dict.fromkeys([*found, *beside]) if is_remote(str(path)) or path.is_file()]
+    sidecars = [each for path in found if not is_remote(str(path)) for each in sidecar_files(path)]
+    return [path for path in dict.fromkeys([*found, *sidecars]) if is_remote(str(path)) or path.is_file()]
 
 
 def _stamp_of(source: str) -> str:

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from multiprocessing.connection import wait
 from typing import Protocol
 
-from skugga.api.seed.messages import Begun, Drawn, NotDrawn, Task
-from skugga.api.seed.render_process import START_LIMIT_S, RenderProcess, threads_of_one
+from skugga.api.seed.messages import RunReady, Task, TaskFailure, TaskResult
+from skugga.api.seed.render_process import START_LIMIT_S, RenderProcess, thread_environment
 from skugga.api.seed.run_spec import RunSpec
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import GraphicsError
 
-MOST_FRUITLESS = 5
+MAX_FAILED_STARTS = 5
 """Upper bound of starts in a row, per process, that draw nothing before they end or hang. More indicates a common cause."""
 
 
@@ -29,7 +29,7 @@ class Runner(Protocol):
     def submit(self, task: Task, lane: int) -> None:
         """Start a task."""
 
-    def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
+    def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:
         """Return outcomes of tasks, after waiting for at most ``timeout_s``. Raises ``GraphicsError`` if nothing can be drawn."""
 
     def close(self) -> None:
@@ -43,10 +43,10 @@ class LocalPool:
     """
 
     def __init__(self, workers: int, start_limit_s: float = START_LIMIT_S) -> None:
-        self._environment, self._start_limit_s = threads_of_one(max(usable_cores() // workers, 1)), start_limit_s
-        self._fruitless = 0
+        self._environment, self._start_limit_s = thread_environment(max(usable_cores() // workers, 1)), start_limit_s
+        self._failed_starts = 0
         self._run: tuple[str, str] | None = None
-        self._processes = [self._started(number) for number in range(workers)]
+        self._processes = [self._start_process(number) for number in range(workers)]
 
     def begin(self, spec: RunSpec, shards: str) -> LocalPool:
         """Prepare the processes for a run, and return this pool."""
@@ -57,33 +57,33 @@ class LocalPool:
 
     def free(self) -> Sequence[int]:
         """Implement ``Runner.free``; each process is a lane."""
-        return [lane for lane, process in enumerate(self._processes) if process.begun and process.task is None]
+        return [lane for lane, process in enumerate(self._processes) if process.is_ready and process.task is None]
 
     def submit(self, task: Task, lane: int) -> None:
         """Implement ``Runner.submit``."""
         self._processes[lane].draw(task)
 
-    def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
+    def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:
         """Implement ``Runner.wait``."""
-        outcomes: list[Drawn | NotDrawn] = []
+        outcomes: list[TaskResult | TaskFailure] = []
         by_connection = {
-            process.connection: process for process in self._processes if process.task is not None or not process.begun
+            process.connection: process for process in self._processes if process.task is not None or not process.is_ready
         }
         if not by_connection:
             clock.sleep(min(timeout_s, 0.1))
-        heard = wait(list(by_connection), timeout_s)
+        readable = wait(list(by_connection), timeout_s)
         for connection, process in by_connection.items():
-            if connection not in heard and process.left_s != 0.0:
+            if connection not in readable and process.remaining_s != 0.0:
                 continue
             try:
-                said = process.hear()
+                message = process.receive()
             except EOFError as ended:
-                outcomes += self._replaced(process, str(ended))
+                outcomes += self._replace(process, str(ended))
                 continue
-            if isinstance(said, Begun):
+            if isinstance(message, RunReady):
                 continue
-            self._fruitless = 0
-            outcomes.append(said)
+            self._failed_starts = 0
+            outcomes.append(message)
         return outcomes
 
     def close(self) -> None:
@@ -96,17 +96,19 @@ class LocalPool:
         """Ids of the processes."""
         return [process.pid for process in self._processes]
 
-    def _started(self, number: int) -> RenderProcess:
+    def _start_process(self, number: int) -> RenderProcess:
         return RenderProcess(self._environment, self._start_limit_s, number)
 
-    def _replaced(self, process: RenderProcess, why: str) -> list[NotDrawn]:
+    def _replace(self, process: RenderProcess, why: str) -> list[TaskFailure]:
         lost = process.task
         process.end()
-        self._fruitless += 1
-        if self._fruitless >= MOST_FRUITLESS * len(self._processes):
-            raise GraphicsError(f"{self._fruitless} render processes in a row ended or did not answer before they drew anything")
+        self._failed_starts += 1
+        if self._failed_starts >= MAX_FAILED_STARTS * len(self._processes):
+            raise GraphicsError(
+                f"{self._failed_starts} render processes in a row ended or did not answer before they drew anything"
+            )
         number = self._processes.index(process)
-        another = self._processes[number] = self._started(number)
+        replacement = self._processes[number] = self._start_process(number)
         assert self._run is not None
-        another.begin(*self._run)
-        return [] if lost is None else [NotDrawn(lost.id, why, "died")]
+        replacement.begin(*self._run)
+        return [] if lost is None else [TaskFailure(lost.id, why, "died")]

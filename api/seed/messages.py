@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-LEAST_LIMIT_S = 600.0
+MIN_LIMIT_S = 600.0
 """Minimum timeout of a task in seconds. A task whose loops are not compiled yet takes minutes."""
 
 
@@ -39,7 +39,7 @@ class Task(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Drawn:
+class TaskResult:
     """The result of a drawn task.
 
     Attributes
@@ -68,7 +68,7 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class Begin:
+class StartRun:
     """Prepares a process for the tasks of a run (``RunSpec`` as JSON), with the place of their shards."""
 
     spec: str
@@ -76,14 +76,14 @@ class Begin:
 
 
 @dataclass(frozen=True)
-class Begun:
+class RunReady:
     """The process is ready to draw."""
 
     renderer: str
 
 
 @dataclass(frozen=True)
-class NotDrawn:
+class TaskFailure:
     """A task that was not drawn, and the reason.
 
     Attributes
@@ -106,7 +106,7 @@ class NotDrawn:
 
 
 @dataclass(frozen=True)
-class NotBegun:
+class RunRefused:
     """The process cannot draw tasks of the run."""
 
     error: str

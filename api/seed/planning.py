@@ -24,8 +24,8 @@ from skugga.api.matrices import (
 from skugga.api.products.product import MapFormat
 from skugga.api.request import PictureRequest, ProductRequest
 from skugga.api.seed.archive import first_tile_id
-from skugga.api.seed.identity import digest_of_json, ground_of, level_digest, plan_digest
-from skugga.api.seed.reached_ground import ReachedGround
+from skugga.api.seed.ground_dependencies import GroundDependencies
+from skugga.api.seed.identity import digest_of_json, ground_chunks_of, level_digest, plan_digest
 from skugga.api.seed.run_spec import MATRIX_SET, PlannedZoom, RunSpec
 from skugga.api.seed.task_table import KeyParts, PlannedTask, TaskTable
 from skugga.api.workers.block_tiles import BLOCK_TILES
@@ -47,13 +47,13 @@ from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
-UNKNOWN_TASK_S = 0.25
+DEFAULT_TASK_S = 0.25
 """Seconds of a full task without any prediction."""
 
-BESIDE_SHADOWS_S = 0.15
+SHADING_OVERHEAD_S = 0.15
 """Seconds that ground, shading and files add to the prediction of a full task."""
 
-EMPTY_SHARE = 0.05
+MIN_TASK_SHARE = 0.05
 """Duration of a task that shows hardly any data, relative to a full task."""
 
 
@@ -113,12 +113,12 @@ class PlannedRun:
     stamps: tuple[Stamp, ...]
 
     @property
-    def unchanged(self) -> bool:
+    def is_unchanged(self) -> bool:
         """Whether the level's files are unchanged since they were read."""
         return file_stamps(self.files) == self.stamps
 
 
-def renderer_here() -> str:
+def local_renderer() -> str:
     """Return the name of this process's renderer."""
     try:
         return gl.device().renderer
@@ -139,20 +139,20 @@ def plan_run(table: TaskTable, request: SeedRequest, say: Callable[[str], None])
     try:
         zooms, bounds = _zooms(scene, request.zooms)
         version = level_version(loaded, stamps)
-        asked = digest_of_json([RENDERER_VERSION, renderer, version, str(zooms), repr(request)])
+        request_digest = digest_of_json([RENDERER_VERSION, renderer, version, str(zooms), repr(request)])
         suns = tuple(PictureRequest(sun=sun).query() for sun in request.suns)
-        kept, made = table.get("spec"), table.get("asked")
-        if kept is not None and made == asked.encode():
+        kept, planned_digest = table.get("spec"), table.get("asked")
+        if kept is not None and planned_digest == request_digest.encode():
             spec = RunSpec.model_validate_json(kept)
         else:
-            spec = _planned(table, request, scene, loaded, version, renderer, zooms, bounds, suns, say)
-            table.put(spec=spec.model_dump_json().encode(), asked=asked.encode())
+            spec = _make_spec(table, request, scene, loaded, version, renderer, zooms, bounds, suns, say)
+            table.put(spec=spec.model_dump_json().encode(), asked=request_digest.encode())
     finally:
         scene.close()
     return PlannedRun(spec, loaded, suns, zooms, bounds, files, stamps)
 
 
-def _planned(
+def _make_spec(
     table: TaskTable,
     request: SeedRequest,
     scene: Scene,
@@ -166,29 +166,29 @@ def _planned(
 ) -> RunSpec:
     table.put(asked=b"")  # an interrupted planning is repeated
     say("Reading the ground")
-    ground = ReachedGround(scene, ground_of(loaded, scene, table))
+    ground = GroundDependencies(scene, ground_chunks_of(loaded, scene, table))
     product, overrides = request.asked.record, request.asked.overrides
-    asked = [level_digest(loaded, scene, table), request.format, request.asked.model_dump(mode="json")]
+    request_values = [level_digest(loaded, scene, table), request.format, request.asked.model_dump(mode="json")]
     # The range of heights scales colours, and its middle places lines towards the sun.
     drawn_by, heights = digest_of_json([RENDERER_VERSION, renderer]), digest_of_json(scene.height_range_m)
     planner = _Planner(table, loaded, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
     tasks, plans, measured = [], [], table.measured()
     for number, (sun, name) in enumerate(zip(request.suns, suns, strict=True)):
         seen = scene.with_sun(sun)
-        here, settings = ground.under(seen), digest_of_json([*asked, None if sun else _own_sun(scene)])
+        ground_under_sun, settings = ground.with_sun(seen), digest_of_json([*request_values, None if sun else _own_sun(scene)])
         for zoom in range(zooms.first, zooms.last + 1):
             say(f"Planning zoom {zoom}" + (f" under sun {number + 1} of {len(suns)}" if len(suns) > 1 else ""))
             plan = planner.plan(seen, name, zoom) if product.needs else None
             if plan is not None:
                 plans.append(PlannedZoom(sun=number, zoom=zoom, plan=plan.model_dump_json()))
             grid, blocks = tile_grid(matrix_set_of(MATRIX_SET), zoom), blocks_of_zoom(zoom, bounds)
-            digests = here.digests(grid, blocks, plan, product.is_display)
-            shares = here.shares_on_data(grid, blocks)
-            whole_s, planned = _seconds_of_whole(plan, zoom, measured), plan_digest(plan)
+            digests = ground_under_sun.digests(grid, blocks, plan, product.is_display)
+            shares = ground_under_sun.data_shares(grid, blocks)
+            whole_s, planned = _full_task_seconds(plan, zoom, measured), plan_digest(plan)
             for (x, y), digest, on_data in zip(blocks, digests, shares, strict=True):
-                parts, share = KeyParts(drawn_by, settings, planned, heights, digest.hex()), max(on_data, EMPTY_SHARE)
+                parts, share = KeyParts(drawn_by, settings, planned, heights, digest.hex()), max(on_data, MIN_TASK_SHARE)
                 tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, share, whole_s * share))
-    table.want(tasks)
+    table.set_tasks(tasks)
     return RunSpec(
         level=request.level, ground=version, renderer=renderer, asked=request.asked, format=request.format, suns=request.suns,
         plans=tuple(plans),
@@ -200,8 +200,8 @@ class _Planner:
 
     def __init__(self, table: TaskTable, loaded: LoadedLevel, level: LevelKey, overrides: dict[str, Any]) -> None:
         self._table, self._level, self._overrides = table, level, overrides
-        said = loaded.level.model_dump(mode="json", exclude={"title", "attribution", "views", "archive"})
-        self._asked = digest_of_json([said, repr(sorted(overrides.items()))])
+        settings = loaded.level.model_dump(mode="json", exclude={"title", "attribution", "views", "archive"})
+        self._asked = digest_of_json([settings, repr(sorted(overrides.items()))])
         self._basis: PlanBasis | None = None
 
     def plan(self, scene: Scene, sun: str, zoom: int) -> Plan:
@@ -225,7 +225,7 @@ def _own_sun(scene: Scene) -> Any:
 
 def _basis(level: LevelKey) -> PlanBasis:
     """Return the inputs of plans that a service on this machine would use."""
-    if renderer_here() == NO_OPENGL:
+    if local_renderer() == NO_OPENGL:
         return PlanBasis()
     probes = load_probes(probes_folder(*gl.renderer_and_version()) / f"{level.version}.json")
     return PlanBasis(calibration(), {level.version: probes.model_dump_json()})
@@ -236,18 +236,18 @@ def _renderer_of(table: TaskTable) -> str:
 
     Raises ``RenderError`` if this process draws with another renderer.
     """
-    here, kept = renderer_here(), table.get("renderer")
+    current, kept = local_renderer(), table.get("renderer")
     if kept is None:
-        table.put(renderer=here.encode())
-    elif kept.decode() != here:
+        table.put(renderer=current.encode())
+    elif kept.decode() != current:
         raise RenderError(
-            f"{table.folder}: its tasks are planned for the renderer '{kept.decode()}', but this machine draws with '{here}'. "
+            f"{table.folder}: its tasks are planned for the renderer '{kept.decode()}', but this machine draws with '{current}'. "
             f"Use a machine with that renderer, or delete the folder to start again."
         )
-    return here
+    return current
 
 
-def _zooms(scene: Scene, asked: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
+def _zooms(scene: Scene, requested: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
     """Return the zooms of a run, and the bounds of the level's data. Raises ``InputError`` for zooms beyond the data."""
     shown = scene.bounds_lon_lat
     if shown is None or scene.world.off_earth_reason is not None:
@@ -257,14 +257,14 @@ def _zooms(scene: Scene, asked: ZoomRange | None) -> tuple[ZoomRange, LonLatBoun
     if served is None or of_ground is None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"it lies outside of {MATRIX_SET}")
     cells_at = max(of_ground.last - OVERZOOMS, served.first)
-    if asked is not None and not 0 <= asked.first <= asked.last <= served.last:
+    if requested is not None and not 0 <= requested.first <= requested.last <= served.last:
         allowed = f"zooms 0 to {served.last} in ascending order (full resolution at zoom {cells_at})"
-        raise InputError("--zooms", f"{asked.first}-{asked.last}", allowed)
+        raise InputError("--zooms", f"{requested.first}-{requested.last}", allowed)
     west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
         *scene.elevation.bounds, densify_pts=21
     )
     bounds = west, south, east + 360.0 if east < west else east, north
-    return asked or ZoomRange(served.first, cells_at), bounds
+    return requested or ZoomRange(served.first, cells_at), bounds
 
 
 def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
@@ -287,14 +287,14 @@ def first_tile_of_block(zoom: int, x: int, y: int) -> int:
     first = first_tile_id(zoom)
     if 2**zoom < BLOCK_TILES:
         return first
-    some = zxy_to_tileid(zoom, x * BLOCK_TILES, y * BLOCK_TILES) - first
-    return first + some // BLOCK_TILES**2 * BLOCK_TILES**2
+    tile_offset = zxy_to_tileid(zoom, x * BLOCK_TILES, y * BLOCK_TILES) - first
+    return first + tile_offset // BLOCK_TILES**2 * BLOCK_TILES**2
 
 
-def _seconds_of_whole(plan: Plan | None, zoom: int, measured: dict[int, tuple[float, float]]) -> float:
+def _full_task_seconds(plan: Plan | None, zoom: int, measured: dict[int, tuple[float, float]]) -> float:
     """Return the expected duration of a full task: measured at its zoom, or predicted by the plan."""
     if zoom in measured:
         return measured[zoom][0]
     if plan is None or plan.predicted is None:
-        return UNKNOWN_TASK_S
-    return plan.predicted.ms / 1000.0 + BESIDE_SHADOWS_S
+        return DEFAULT_TASK_S
+    return plan.predicted.ms / 1000.0 + SHADING_OVERHEAD_S

@@ -21,7 +21,7 @@ from skugga.api.seed.planning import PlannedRun
 from skugga.api.seed.run_spec import MATRIX_SET
 from skugga.api.seed.running import shard_name
 from skugga.api.seed.storage import ShardStore
-from skugga.api.seed.task_table import LOST, TaskTable
+from skugga.api.seed.task_table import SHARD_LOST_REASON, TaskTable
 from skugga.terrain.atomic_files import remove_partial_files, write_atomically
 from skugga.terrain.errors import InputError, Problem
 
@@ -55,7 +55,7 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
     written = []
     for sun, output in outputs.items():
         done = table.done(sun)
-        state = _state_of(run, sun, done)
+        state = _content_digest(run, sun, done)
         if table.get(f"written {output}") == f"{state} {_stamp(output)}".encode():
             continue
         numbers, keys = [each[0] for each in done], [each[1] for each in done]
@@ -77,14 +77,14 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
                 _write_folder(table, output, numbers, keys, indexes, read, run, sun)
         except BrokenShardError as error:
             if error.number is not None:
-                table.retry([numbers[error.number]], LOST)
+                table.retry([numbers[error.number]], SHARD_LOST_REASON)
             raise
         table.put(**{f"written {output}": f"{state} {_stamp(output)}".encode()})
         written.append(output)
     return written
 
 
-def _state_of(run: PlannedRun, sun: str, done: list[tuple[int, str, bytes]]) -> str:
+def _content_digest(run: PlannedRun, sun: str, done: list[tuple[int, str, bytes]]) -> str:
     """Return a digest of everything that an output contains."""
     digest = hashlib.blake2b(repr(_facts(run, sun)).encode(), digest_size=16)
     for _, key, tiles in done:
@@ -122,23 +122,23 @@ def _write_folder(
     """Write the tiles that the folder lacks, and the manifest last."""
     with suppress(FileNotFoundError):
         (output / MANIFEST).unlink()
-    there = table.published(str(output))
+    published = table.published(str(output))
     for place, (number, key, index) in enumerate(zip(numbers, keys, indexes, strict=True)):
-        before = there.pop(number, None)
-        if before is not None and before[0] == key:
+        previous = published.pop(number, None)
+        if previous is not None and previous[0] == key:
             continue
-        if before is not None:
-            _delete_tiles(output, ShardIndex.from_bytes(before[1]), run.spec.format)
+        if previous is not None:
+            _delete_tiles(output, ShardIndex.from_bytes(previous[1]), run.spec.format)
         content, begin = read(place), 0
         for tile_id, length in zip(index.ids.tolist(), index.lengths.tolist(), strict=True):
             path = _tile_path(output, tile_id, run.spec.format)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content[begin : begin + length])
             begin += length
-        table.note_published(str(output), number, key, index.to_bytes())
-    for number, (_, tiles) in there.items():  # tasks of zooms that are no longer requested
+        table.record_published(str(output), number, key, index.to_bytes())
+    for number, (_, tiles) in published.items():  # tasks of zooms that are no longer requested
         _delete_tiles(output, ShardIndex.from_bytes(tiles), run.spec.format)
-        table.forget_published(str(output), number)
+        table.remove_published(str(output), number)
     write_atomically(output / MANIFEST, _tile_json(run, sun))
 
 

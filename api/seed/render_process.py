@@ -18,7 +18,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from skugga.api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
+from skugga.api.seed.messages import RunReady, RunRefused, StartRun, Task, TaskFailure, TaskResult
 from skugga.api.seed.storage import store_at
 from skugga.terrain.compiling.ahead_of_time import compile_ahead
 from skugga.terrain.compiling.hooks import missing_loop_compiler
@@ -36,9 +36,9 @@ START_LIMIT_S = 600.0
 
 DRAW_TASKS = "import sys; from skugga.api.seed.render_process import draw_tasks; draw_tasks(*map(int, sys.argv[1:]))"
 
-DIED = "its render process ended while drawing it"
+DIED_REASON = "its render process ended while drawing it"
 
-GONE_S = 10.0
+EXIT_TIMEOUT_S = 10.0
 """Timeout of a killed process's exit. A process that waits for an unresponsive disk ends when the disk responds."""
 
 log = logging.getLogger("skugga.worker")
@@ -52,25 +52,25 @@ class RenderProcess:
     """
 
     def __init__(self, environment: Mapping[str, str], start_limit_s: float = START_LIMIT_S, number: int = 0) -> None:
-        ours, theirs = socket.socketpair()
-        with theirs:
+        parent_end, child_end = socket.socketpair()
+        with child_end:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", DRAW_TASKS, str(theirs.fileno()), str(number)],
-                pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, env={**os.environ, **environment},
+                [sys.executable, "-c", DRAW_TASKS, str(child_end.fileno()), str(number)],
+                pass_fds=[child_end.fileno()], stdin=subprocess.DEVNULL, env={**os.environ, **environment},
             )  # fmt: skip
-        self.connection = Connection(ours.detach())
-        self.begun = False
+        self.connection = Connection(parent_end.detach())
+        self.is_ready = False
         self.task: Task | None = None
         self._start_limit_s = start_limit_s
-        self._wait_for(None)
+        self._set_deadline(None)
 
     def begin(self, spec: str, shards: str) -> None:
-        """Prepare the process for a run (``RunSpec`` as JSON). ``hear`` reports readiness."""
-        self._wait_for(self._start_limit_s)
+        """Prepare the process for a run (``RunSpec`` as JSON). ``receive`` reports readiness."""
+        self._set_deadline(self._start_limit_s)
         try:
-            self.connection.send(Begin(spec, shards))
+            self.connection.send(StartRun(spec, shards))
         except OSError:
-            pass  # it has ended: ``hear`` reports that
+            pass  # it has ended: ``receive`` reports that
 
     @property
     def pid(self) -> int:
@@ -78,36 +78,36 @@ class RenderProcess:
         return self._process.pid
 
     @property
-    def left_s(self) -> float | None:
+    def remaining_s(self) -> float | None:
         """Seconds until the timeout, 0 if the process hangs; ``None`` without a pending request."""
-        return None if self._until is None else max(self._until - clock.monotonic(), 0.0)
+        return None if self._deadline is None else max(self._deadline - clock.monotonic(), 0.0)
 
-    def hear(self) -> Drawn | NotDrawn | Begun:
+    def receive(self) -> TaskResult | TaskFailure | RunReady:
         """Wait for the next message and return it.
 
         Raises ``GraphicsError`` if the process cannot draw the run's tasks, and ``EOFError`` with the reason if it has ended or
         hangs.
         """
         try:
-            hangs = not self.connection.poll(self.left_s)
-            said: Any = None if hangs else self.connection.recv()
+            timed_out = not self.connection.poll(self.remaining_s)
+            message: Any = None if timed_out else self.connection.recv()
         except (EOFError, OSError):
-            raise EOFError(DIED) from None
-        if hangs:
+            raise EOFError(DIED_REASON) from None
+        if timed_out:
             raise EOFError(f"its render process did not answer within {self._limit_s:g} s")
-        if isinstance(said, NotBegun):
-            raise GraphicsError(said.error)
-        if isinstance(said, Begun):
-            self.begun = True
+        if isinstance(message, RunRefused):
+            raise GraphicsError(message.error)
+        if isinstance(message, RunReady):
+            self.is_ready = True
         else:
             self.task = None
-        self._wait_for(None)
-        return said
+        self._set_deadline(None)
+        return message
 
     def draw(self, task: Task) -> None:
-        """Start a task. ``hear`` reports its outcome, also if the process has ended."""
+        """Start a task. ``receive`` reports its outcome, also if the process has ended."""
         self.task = task
-        self._wait_for(task.limit_s)
+        self._set_deadline(task.limit_s)
         try:
             self.connection.send(task)
         except OSError:
@@ -117,14 +117,14 @@ class RenderProcess:
         """Kill the process. No state is lost."""
         self._process.kill()
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(GONE_S)
+            self._process.wait(EXIT_TIMEOUT_S)
         self.connection.close()
 
-    def _wait_for(self, limit_s: float | None) -> None:
-        self._limit_s, self._until = limit_s, None if limit_s is None else clock.monotonic() + limit_s
+    def _set_deadline(self, limit_s: float | None) -> None:
+        self._limit_s, self._deadline = limit_s, None if limit_s is None else clock.monotonic() + limit_s
 
 
-def threads_of_one(threads: int) -> dict[str, str]:
+def thread_environment(threads: int) -> dict[str, str]:
     """Return the environment that limits a process's threads, of a software rasteriser and of compiled loops."""
     return {"LP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
 
@@ -151,9 +151,9 @@ def _draw_until_closed(connection: Connection) -> None:
             check_renderer(renderer, spec)
             drawer = Drawer(spec, store_at(begin.shards))
         except SkuggaError as error:
-            connection.send(NotBegun(str(error)))
+            connection.send(RunRefused(str(error)))
             return
-        connection.send(Begun(renderer))
+        connection.send(RunReady(renderer))
         while True:
             answer = draw(drawer, connection.recv())
             connection.send(answer)
@@ -167,18 +167,18 @@ def check_renderer(renderer: str, spec: RunSpec) -> None:
         raise GraphicsError(f"the run was planned for the renderer '{spec.renderer}', but this worker draws with '{renderer}'")
 
 
-def draw(drawer: Drawer, task: Task) -> Drawn | NotDrawn:
+def draw(drawer: Drawer, task: Task) -> TaskResult | TaskFailure:
     """Draw a task, and return its result or the reason of its failure."""
     try:
         return drawer.draw(task)
     except NoOpenGLError as error:
-        return NotDrawn(task.id, str(error), "stopped")
+        return TaskFailure(task.id, str(error), "stopped")
     except GraphicsError:
         raise EOFError from None  # the context is unreliable: this process ends, and another one retries
     except SkuggaError as error:
-        return NotDrawn(task.id, str(error), "failed")
+        return TaskFailure(task.id, str(error), "failed")
     except OSError as error:  # writing the shard failed: the disk is full, or the folder is gone
-        return NotDrawn(task.id, f"{error.filename or 'shards'}: {error.strerror or error}", "stopped")
+        return TaskFailure(task.id, f"{error.filename or 'shards'}: {error.strerror or error}", "stopped")
     except Exception as error:
         log.exception("a task failed unexpectedly")
-        return NotDrawn(task.id, str(RenderError(f"{type(error).__name__}: {error}")), "failed")
+        return TaskFailure(task.id, str(RenderError(f"{type(error).__name__}: {error}")), "failed")

@@ -8,26 +8,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from skugga.api.seed.local_pool import Runner
-from skugga.api.seed.messages import LEAST_LIMIT_S, Drawn, NotDrawn, Task
+from skugga.api.seed.messages import MIN_LIMIT_S, Task, TaskFailure, TaskResult
 from skugga.api.seed.planning import PlannedRun
 from skugga.api.seed.task_table import TaskTable
 from skugga.terrain.errors import RenderError
 
-MOST_DEATHS = 3
+MAX_DEATHS = 3
 """Maximum number of starts of a task whose workers die."""
 
-LIMIT_TIMES = 100.0
-"""Timeout of a task relative to its expected duration; ``LEAST_LIMIT_S`` is the minimum timeout."""
+MAX_TIME_RATIO = 100.0
+"""Timeout of a task relative to its expected duration; ``MIN_LIMIT_S`` is the minimum timeout."""
 
-FILES_EVERY_S = 0.5
-"""Interval between checks for changes of the level's files, if the level has more than ``FEW_FILES``."""
+FILES_CHECK_S = 0.5
+"""Interval between checks for changes of the level's files, if the level has more than ``MAX_FILES_PER_TASK_CHECK``."""
 
-FEW_FILES = 100
+MAX_FILES_PER_TASK_CHECK = 100
 """Up to this number, files are checked after every task."""
 
-HEARD_EVERY_S = 1.0
+POLL_S = 1.0
 
-LONGEST_STRETCH, STRETCHES_LEFT = 16, 4
+MAX_STRETCH, MIN_STRETCHES_PER_LANE = 16, 4
 """Upper bound of the tasks assigned to a lane at once, and lower bound of such stretches per lane in the remaining tasks."""
 
 
@@ -36,7 +36,7 @@ class TaskEnd:
     """The end of a task with its ``outcome``, and the run's progress: tasks done and in total."""
 
     task: Task
-    outcome: Drawn | NotDrawn
+    outcome: TaskResult | TaskFailure
     done: int
     total: int
 
@@ -46,10 +46,10 @@ def shard_name(key: str) -> str:
     return f"{key[:2]}/{key}.tiles"
 
 
-def task_of(table: TaskTable, run: PlannedRun, number: int, least_limit_s: float) -> Task:
+def task_of(table: TaskTable, run: PlannedRun, number: int, min_limit_s: float) -> Task:
     """Return a task in the form sent to workers."""
     sun, zoom, x, y, key, expected_s = table.place(number)
-    return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key), max(least_limit_s, LIMIT_TIMES * expected_s))
+    return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key), max(min_limit_s, MAX_TIME_RATIO * expected_s))
 
 
 class WaitingTasks:
@@ -71,7 +71,7 @@ class WaitingTasks:
         own = self._lanes.setdefault(lane, deque())
         if not own and self._left:
             # Shorter stretches towards the end, so that all lanes share the remaining heavy tasks.
-            count = min(max(len(self._left) // (STRETCHES_LEFT * len(self._lanes)), 1), LONGEST_STRETCH)
+            count = min(max(len(self._left) // (MIN_STRETCHES_PER_LANE * len(self._lanes)), 1), MAX_STRETCH)
             own.extend(self._left.popleft() for _ in range(count))
         return own.popleft() if own else max(self._lanes.values(), key=len).pop()
 
@@ -85,11 +85,11 @@ def run_tasks(
     run: PlannedRun,
     runner: Runner,
     on_progress: Callable[[TaskEnd], None],
-    least_limit_s: float = LEAST_LIMIT_S,
+    min_limit_s: float = MIN_LIMIT_S,
 ) -> None:
     """Draw all waiting tasks. Failed tasks are recorded, and the others continue.
 
-    A process counts as dead after drawing a task for ``least_limit_s``, or ``LIMIT_TIMES`` its expected duration if that is
+    A process counts as dead after drawing a task for ``min_limit_s``, or ``MAX_TIME_RATIO`` its expected duration if that is
     longer.
 
     Raises ``RenderError`` if the level changes meanwhile, if no shard can be written, or if nothing can be drawn. Finished
@@ -97,23 +97,23 @@ def run_tasks(
     """
     waiting = WaitingTasks(table.waiting())
     running: dict[int, Task] = {}
-    unchecked: list[Drawn] = []
-    total, done, looked = len(waiting), 0, clock.monotonic()
+    unchecked: list[TaskResult] = []
+    total, done, checked_at_s = len(waiting), 0, clock.monotonic()
     while waiting or running:
         for lane in runner.free():
             if waiting:
-                task = task_of(table, run, waiting.take(lane), least_limit_s)
+                task = task_of(table, run, waiting.take(lane), min_limit_s)
                 running[task.id] = task
                 runner.submit(task, lane)
-        for outcome in runner.wait(HEARD_EVERY_S):
+        for outcome in runner.wait(POLL_S):
             ended = running.pop(outcome.id, None)
             if ended is None:
                 continue  # started twice, and done already
-            if isinstance(outcome, NotDrawn):
+            if isinstance(outcome, TaskFailure):
                 if outcome.how == "stopped":
-                    _note(table, run, unchecked)
+                    _record_results(table, run, unchecked)
                     raise RenderError(outcome.error)
-                if outcome.how == "died" and table.tried(outcome.id) < MOST_DEATHS:
+                if outcome.how == "died" and table.count_death(outcome.id) < MAX_DEATHS:
                     waiting.put_back(outcome.id)
                     continue
                 table.fail(outcome.id, outcome.error)
@@ -121,14 +121,16 @@ def run_tasks(
                 unchecked.append(outcome)
             done += 1
             on_progress(TaskEnd(ended, outcome, done, total))
-        if unchecked and (len(run.files) <= FEW_FILES or clock.monotonic() - looked > FILES_EVERY_S or not running):
-            _note(table, run, unchecked)
-            unchecked, looked = [], clock.monotonic()
+        if unchecked and (
+            len(run.files) <= MAX_FILES_PER_TASK_CHECK or clock.monotonic() - checked_at_s > FILES_CHECK_S or not running
+        ):
+            _record_results(table, run, unchecked)
+            unchecked, checked_at_s = [], clock.monotonic()
 
 
-def _note(table: TaskTable, run: PlannedRun, drawn: list[Drawn]) -> None:
+def _record_results(table: TaskTable, run: PlannedRun, drawn: list[TaskResult]) -> None:
     """Record drawn tasks of an unchanged level. Raises ``RenderError`` if the level has changed."""
-    if not run.unchanged:
+    if not run.is_unchanged:
         raise RenderError(
             f"{run.loaded.path}: the level, or one of its files, has changed during the run. Run the same command again to resume."
         )

@@ -9,23 +9,23 @@ from pathlib import Path
 
 from skugga.api.errors import BrokenShardError
 from skugga.api.seed.local_pool import Runner
-from skugga.api.seed.messages import LEAST_LIMIT_S
+from skugga.api.seed.messages import MIN_LIMIT_S
 from skugga.api.seed.planning import PlannedRun
 from skugga.api.seed.publishing import publish
 from skugga.api.seed.running import TaskEnd, run_tasks, shard_name
 from skugga.api.seed.storage import ShardStore, check_writable
-from skugga.api.seed.task_table import LOST, TaskTable
+from skugga.api.seed.task_table import SHARD_LOST_REASON, TaskTable
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.errors import InputError, RenderError
 
-TIMES_PUBLISHED = 5
+MAX_PUBLISH_ATTEMPTS = 5
 """Maximum number of attempts to publish, with broken shards drawn again in between."""
 
 FAILED_LIST = "failed.txt"
 
 
 @dataclass(frozen=True)
-class Seeded:
+class SeedResult:
     """The result of a run.
 
     Attributes
@@ -44,10 +44,10 @@ class Seeded:
     publishing_s: float
 
 
-def look_for_lost_shards(table: TaskTable, store: ShardStore) -> None:
+def requeue_lost_shards(table: TaskTable, store: ShardStore) -> None:
     """Queue the tasks again whose shards are missing."""
-    there = store.names()
-    table.retry([number for number, key in table.with_shards() if shard_name(key) not in there], LOST)
+    existing = store.names()
+    table.retry([number for number, key in table.tasks_with_shards() if shard_name(key) not in existing], SHARD_LOST_REASON)
 
 
 def draw_and_publish(
@@ -58,60 +58,60 @@ def draw_and_publish(
     outputs: Mapping[str, Path],
     start: Callable[[], Runner],
     on_progress: Callable[[TaskEnd], None],
-    most_tasks: int | None = None,
+    max_tasks: int | None = None,
     retry_failed: bool = False,
-    least_limit_s: float = LEAST_LIMIT_S,
-) -> Seeded:
-    """Draw all waiting tasks, and write the outputs if none failed. ``least_limit_s`` is that of ``run_tasks``.
+    min_limit_s: float = MIN_LIMIT_S,
+) -> SeedResult:
+    """Draw all waiting tasks, and write the outputs if none failed. ``min_limit_s`` is that of ``run_tasks``.
 
-    Raises ``InputError`` if more than ``most_tasks`` would run, ``RenderError`` if tasks failed, and the errors of
+    Raises ``InputError`` if more than ``max_tasks`` would run, ``RenderError`` if tasks failed, and the errors of
     ``run_tasks``.
     """
-    look_for_lost_shards(table, store)
+    requeue_lost_shards(table, store)
     if retry_failed:
         table.retry(table.failed())
     waiting = len(table.waiting())
-    if most_tasks is not None and waiting > most_tasks:
+    if max_tasks is not None and waiting > max_tasks:
         raise InputError.over_limit(
-            "--max-tasks", f"{waiting} tasks", str(most_tasks), "Raise the limit, or use --dry-run to list the reasons"
+            "--max-tasks", f"{waiting} tasks", str(max_tasks), "Raise the limit, or use --dry-run to list the reasons"
         )
     if waiting:
         check_writable(store, shards)
     drawn, drawing_s = 0, 0.0
-    for _ in range(TIMES_PUBLISHED):
+    for _ in range(MAX_PUBLISH_ATTEMPTS):
         begin = clock.perf_counter()
-        drawn += _draw(table, run, start, on_progress, least_limit_s)
-        _tell_failed(table)
+        drawn += _draw(table, run, start, on_progress, min_limit_s)
+        _report_failed_tasks(table)
         drawn_at = clock.perf_counter()
         drawing_s += drawn_at - begin
         try:
             written = publish(table, run, store, outputs)
         except BrokenShardError:
             continue
-        forget_shards(table, store)
-        return Seeded(drawn, written, drawing_s, clock.perf_counter() - drawn_at)
+        delete_unused_shards(table, store)
+        return SeedResult(drawn, written, drawing_s, clock.perf_counter() - drawn_at)
     raise RenderError(f"{shards}: shards are missing or corrupt right after they are written. Check the store.")
 
 
-def forget_shards(table: TaskTable, store: ShardStore) -> None:
+def delete_unused_shards(table: TaskTable, store: ShardStore) -> None:
     """Delete shards whose keys belong to no task."""
     store.delete(store.names() - {shard_name(key) for key in table.keys()})
 
 
 def _draw(
-    table: TaskTable, run: PlannedRun, start: Callable[[], Runner], on_progress: Callable[[TaskEnd], None], least_limit_s: float
+    table: TaskTable, run: PlannedRun, start: Callable[[], Runner], on_progress: Callable[[TaskEnd], None], min_limit_s: float
 ) -> int:  # fmt: skip
     waiting = len(table.waiting())
     if waiting:
         runner = start()
         try:
-            run_tasks(table, run, runner, on_progress, least_limit_s)
+            run_tasks(table, run, runner, on_progress, min_limit_s)
         finally:
             runner.close()
     return waiting
 
 
-def _tell_failed(table: TaskTable) -> None:
+def _report_failed_tasks(table: TaskTable) -> None:
     """Write the list of failed tasks. Raises ``RenderError`` if any failed."""
     failed, path = table.failed(), table.folder / FAILED_LIST
     if not failed:

@@ -12,7 +12,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from skugga.api.seed.messages import Drawn
+from skugga.api.seed.messages import TaskResult
 from skugga.terrain.atomic_files import disk_error
 from skugga.terrain.errors import InputError, Problem, RenderError
 
@@ -86,7 +86,7 @@ REASONS = {
 }  # fmt: skip
 """Reasons to draw finished tasks again, by the changed part of their key."""
 
-NEW, LOST = "not drawn yet", "the shard is missing or corrupt"
+NEW_REASON, SHARD_LOST_REASON = "not drawn yet", "the shard is missing or corrupt"
 
 
 @dataclass(frozen=True)
@@ -109,14 +109,14 @@ class TaskTable:
     def __init__(self, path: Path) -> None:
         self._path = path
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._lock = _locked(path.with_suffix(".lock"))
+        self._lock = _acquire_lock(path.with_suffix(".lock"))
         try:
             self._db = sqlite3.connect(path, isolation_level=None)
             with _as_os_errors(path):
                 self._db.execute("PRAGMA journal_mode = WAL")
                 self._db.execute("PRAGMA synchronous = NORMAL")
                 self._db.executescript(_SCHEMA)
-            self._db.create_function("why_changed", 2, _why_changed, deterministic=True)
+            self._db.create_function("why_changed", 2, _reason_of_change, deterministic=True)
             found = self.get("format")
             if found is not None and found != str(FORMAT).encode():
                 raise InputError(
@@ -150,7 +150,7 @@ class TaskTable:
 
     def put(self, **values: bytes) -> None:
         """Store values by name."""
-        with self._whole():
+        with self._transaction():
             self._db.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", values.items())
 
     def file_digest(self, path: str, stamp: str) -> str | None:
@@ -160,7 +160,7 @@ class TaskTable:
 
     def put_file(self, path: str, stamp: str, digest: str) -> None:
         """Store a file's digest."""
-        with self._whole():
+        with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO files VALUES (?, ?, ?)", (path, stamp, digest))
 
     def plan(self, sun: str, zoom: int, asked: str) -> str | None:
@@ -170,14 +170,14 @@ class TaskTable:
 
     def put_plan(self, sun: str, zoom: int, asked: str, plan: str) -> None:
         """Store a plan."""
-        with self._whole():
+        with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO plans VALUES (?, ?, ?, ?)", (sun, zoom, asked, plan))
 
-    def want(self, tasks: Iterable[PlannedTask]) -> None:
+    def set_tasks(self, tasks: Iterable[PlannedTask]) -> None:
         """Set the tasks of the run. Tasks with an unchanged key keep their state, done or failed; all others wait, with a
         reason.
         """
-        with self._whole():
+        with self._transaction():
             self._db.execute("UPDATE tasks SET wanted = 0")
             self._db.executemany(
                 """
@@ -197,7 +197,18 @@ class TaskTable:
     def _rows(self, tasks: Iterable[PlannedTask]) -> Iterator[tuple[Any, ...]]:
         for task in tasks:
             parts = ":".join(task.parts)
-            yield task.sun, task.zoom, task.x, task.y, task.first_tile, NEW, key_of(task), parts, task.share, task.expected_s
+            yield (
+                task.sun,
+                task.zoom,
+                task.x,
+                task.y,
+                task.first_tile,
+                NEW_REASON,
+                task_key(task),
+                parts,
+                task.share,
+                task.expected_s,
+            )
 
     def waiting(self) -> list[int]:
         """Return the tasks to do, the heaviest first."""
@@ -209,9 +220,9 @@ class TaskTable:
         row = self._db.execute("SELECT sun, zoom, x, y, key, expected_s FROM tasks WHERE id = ?", (task,)).fetchone()
         return tuple(row)
 
-    def finish(self, drawn: Sequence[Drawn]) -> None:
+    def finish(self, drawn: Sequence[TaskResult]) -> None:
         """Record drawn tasks."""
-        with self._whole():
+        with self._transaction():
             self._db.executemany(
                 "UPDATE tasks SET state = 'done', seconds = ?, encode_s = ?, peak_bytes = ?, bytes = ?, tiles = ?, error = NULL "
                 "WHERE id = ?",
@@ -220,18 +231,18 @@ class TaskTable:
 
     def fail(self, task: int, error: str) -> None:
         """Record a failed task."""
-        with self._whole():
+        with self._transaction():
             self._db.execute("UPDATE tasks SET state = 'failed', error = ? WHERE id = ?", (error, task))
 
-    def tried(self, task: int) -> int:
+    def count_death(self, task: int) -> int:
         """Record that a worker died while drawing a task, and return how often that has happened."""
-        with self._whole():
+        with self._transaction():
             self._db.execute("UPDATE tasks SET tries = tries + 1 WHERE id = ?", (task,))
         return int(self._db.execute("SELECT tries FROM tasks WHERE id = ?", (task,)).fetchone()[0])
 
     def retry(self, tasks: Iterable[int], why: str | None = None) -> None:
         """Queue tasks again, with a new reason or their old one."""
-        with self._whole():
+        with self._transaction():
             self._db.executemany(
                 "UPDATE tasks SET state = 'waiting', tries = 0, error = NULL, why = coalesce(?, why) WHERE id = ?",
                 [(why, task) for task in tasks],
@@ -256,21 +267,21 @@ class TaskTable:
         rows = self._db.execute("SELECT task, key, tiles FROM published WHERE output = ?", (output,))
         return {row[0]: (row[1], bytes(row[2])) for row in rows}
 
-    def note_published(self, output: str, task: int, key: str, tiles: bytes) -> None:
+    def record_published(self, output: str, task: int, key: str, tiles: bytes) -> None:
         """Record that a task's tiles lie in a folder."""
-        with self._whole():
+        with self._transaction():
             self._db.execute("INSERT OR REPLACE INTO published VALUES (?, ?, ?, ?)", (output, task, key, tiles))
 
-    def forget_published(self, output: str, task: int) -> None:
+    def remove_published(self, output: str, task: int) -> None:
         """Record that a task's tiles no longer lie in a folder."""
-        with self._whole():
+        with self._transaction():
             self._db.execute("DELETE FROM published WHERE output = ? AND task = ?", (output, task))
 
     def keys(self) -> set[str]:
         """Return the keys of all tasks, including those of earlier requests."""
         return {row[0] for row in self._db.execute("SELECT key FROM tasks")}
 
-    def with_shards(self) -> list[tuple[int, str]]:
+    def tasks_with_shards(self) -> list[tuple[int, str]]:
         """Return number and key of the run's finished tasks that have tiles."""
         return self._db.execute("SELECT id, key FROM tasks WHERE wanted AND state = 'done' AND bytes > 0").fetchall()
 
@@ -296,7 +307,7 @@ class TaskTable:
         return {row[0]: (row[1], row[2]) for row in rows}
 
     @contextmanager
-    def _whole(self) -> Iterator[None]:
+    def _transaction(self) -> Iterator[None]:
         """Run a transaction."""
         with _as_os_errors(self._path):
             self._db.execute("BEGIN IMMEDIATE")
@@ -309,18 +320,18 @@ class TaskTable:
                 raise
 
 
-def key_of(task: PlannedTask) -> str:
+def task_key(task: PlannedTask) -> str:
     """Return the key of a task, 32 hexadecimal digits. Tasks with equal keys have equal tiles."""
     said = (task.sun, task.zoom, task.x, task.y, *task.parts)
     return blake2b("\n".join(map(str, said)).encode(), digest_size=16).hexdigest()
 
 
-def _why_changed(before: str, now: str) -> str:
+def _reason_of_change(before: str, now: str) -> str:
     named = zip(KeyParts._fields, before.split(":"), now.split(":"), strict=True)
-    return next((REASONS[name] for name, one, other in named if one != other), NEW)
+    return next((REASONS[name] for name, one, other in named if one != other), NEW_REASON)
 
 
-def _locked(path: Path) -> IO[str]:
+def _acquire_lock(path: Path) -> IO[str]:
     """Acquire the lock of a table for this process. Raises ``InputError`` if another process holds it."""
     file = path.open("a+", encoding="ascii")
     try:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from skugga.api.errors import LaterError
+from skugga.api.errors import RetryLaterError
 from skugga.api.settings import Settings
 from skugga.api.workers.job_queue import JobQueue
 from skugga.api.workers.jobs import BlockJob, Job, MapJob
@@ -16,7 +16,7 @@ from skugga.api.workers.jobs import BlockJob, Job, MapJob
 TILE_SIDE_PX = 1024
 """A map of at most this size counts as a tile: clients of WMS tile maps of any extent."""
 
-LONGEST_RETRY_S = 120
+MAX_RETRY_AFTER_S = 120
 """Upper bound of ``Retry-After``."""
 
 
@@ -28,11 +28,11 @@ def is_tile(job: Job) -> bool:
 
 
 def check_admission(queue: JobQueue, job: Job, client: str, now_s: float, settings: Settings, is_ready: bool = True) -> None:
-    """Raise ``LaterError`` if the job exceeds its client's share of the queue.
+    """Raise ``RetryLaterError`` if the job exceeds its client's share of the queue.
 
     The expected wait counts only once the service ``is_ready``; before that it cannot be estimated.
     """
-    own = queue.of_client(client)
+    own = queue.jobs_of_client(client)
     if not own or (is_tile(job) and sum(is_tile(each.job) for each in own) < settings.queue_length):
         return
     cost_s, work_s = queue.expected.of(job), sum(each.cost_s for each in own)
@@ -41,12 +41,12 @@ def check_admission(queue: JobQueue, job: Job, client: str, now_s: float, settin
             f"The service is busy: {len(own)} pictures of this client are queued, expected to take {work_s:.1f} s, "
             f"and this one would add {cost_s:.1f} s."
         )
-        raise LaterError(message, retry_after_s(queue.wait_s(job, client, now_s)))
+        raise RetryLaterError(message, retry_after_s(queue.wait_s(job, client, now_s)))
     wait_s = queue.wait_s(job, client, now_s)
     if is_ready and wait_s > settings.queue_timeout_s:
-        raise LaterError(f"The service is busy: the expected wait is {wait_s:.1f} s.", retry_after_s(wait_s))
+        raise RetryLaterError(f"The service is busy: the expected wait is {wait_s:.1f} s.", retry_after_s(wait_s))
 
 
 def retry_after_s(seconds: float) -> int:
     """Return ``Retry-After`` in whole seconds."""
-    return min(max(math.ceil(seconds), 1), LONGEST_RETRY_S)
+    return min(max(math.ceil(seconds), 1), MAX_RETRY_AFTER_S)

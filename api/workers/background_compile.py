@@ -8,11 +8,11 @@ import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from skugga.api.exhaustion import in_thread
+from skugga.api.resource_exhaustion import run_in_pool
 from skugga.api.workers.jobs import Preparing
 from skugga.terrain.compiling.ahead_of_time import PRODUCTS, Progress, compile_ahead
 
-AGAIN_S = 60.0
+RETRY_DELAY_S = 60.0
 """Minimum delay before a retry after a failure."""
 
 log = logging.getLogger("skugga")
@@ -43,7 +43,7 @@ class BackgroundCompile:
         return self._task is not None and not self._task.done()
 
     def begin(self, missing_loops: int) -> None:
-        """Start the compilation, unless no loops are missing, it is done already, or it failed less than ``AGAIN_S`` ago."""
+        """Start the compilation, unless no loops are missing, it is done already, or it failed less than ``RETRY_DELAY_S`` ago."""
         if self._closed or self.is_running or self._is_done or asyncio.get_running_loop().time() < self._not_before_s:
             return
         if missing_loops:
@@ -64,10 +64,10 @@ class BackgroundCompile:
             loop.call_soon_threadsafe(self._on_progress, Preparing(task, done, total))
 
         try:
-            await in_thread(self._thread, self._compile, report)
+            await run_in_pool(self._thread, self._compile, report)
             self._is_done = True
         except Exception as error:  # out of processes or memory: missing loops are compiled when they are called
-            self._not_before_s = loop.time() + AGAIN_S
+            self._not_before_s = loop.time() + RETRY_DELAY_S
             log.warning("loops cannot be compiled in the background: %s", error)
         finally:
             self._on_progress(None)

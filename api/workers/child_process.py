@@ -8,9 +8,9 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any, TypeVar
 
-from skugga.api.exhaustion import in_thread
-from skugga.api.workers.process_life import JOIN_S, process_end
-from skugga.api.workers.spawned import PipedProcess
+from skugga.api.resource_exhaustion import run_in_pool
+from skugga.api.workers.piped_process import PipedProcess
+from skugga.api.workers.process_life import EXIT_TIMEOUT_S, process_end
 
 T = TypeVar("T")
 
@@ -49,13 +49,13 @@ class ChildProcess:
 
     def in_new_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
         """Run a function in a thread, one at a time. Raises ``ExhaustedError`` if no thread is available."""
-        running = in_thread(self._threads, function)
+        running = run_in_pool(self._threads, function)
         running.add_done_callback(lambda done: done.cancelled() or done.exception())
         self._in_thread = running
         return running
 
     async def gone(self) -> None:
-        """Wait until the process has ended, for at most ``JOIN_S``."""
+        """Wait until the process has ended, for at most ``EXIT_TIMEOUT_S``."""
         await process_end(self._piped.process)
 
     async def end(self) -> None:
@@ -66,7 +66,7 @@ class ChildProcess:
             self._piped.process.kill()
             await self.gone()
         if self._in_thread is not None:
-            done, _ = await asyncio.wait({self._in_thread}, timeout=JOIN_S)
+            done, _ = await asyncio.wait({self._in_thread}, timeout=EXIT_TIMEOUT_S)
             if not done:  # the thread still reads: the number of a closed pipe could be reused for another file
                 log.error("process %s cannot be killed, so its pipe stays open", self.pid)
                 return

@@ -20,24 +20,24 @@ from skugga.api.workers.jobs import (
 )
 from skugga.terrain.cache import MIB, Cache, Missing
 
-FIRST_GUESS_S: dict[type, float] = {
+INITIAL_ESTIMATE_S: dict[type, float] = {
     BlockJob: 0.5, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
     PointJob: 0.1, PointsJob: 1.0, FilmCheckJob: 0.5, FrameJob: 2.5,
 }  # fmt: skip
-"""Seconds of a job before any of its kind was measured; of a snapshot, map or frame of ``USUAL_PX``.
+"""Seconds of a job before any of its kind was measured; of a snapshot, map or frame of ``REFERENCE_PX``.
 
 Measured with a software rasteriser on two cores.
 """
 
-FIRST_GUESS_OF_DAYS_S = 3.0
+INITIAL_ESTIMATE_OF_DATES_S = 3.0
 """The same for a block of tiles of a product of whole dates, which needs many suns."""
 
-USUAL_PX = 1280 * 1024
+REFERENCE_PX = 1280 * 1024
 
-NEWEST_SHARE = 0.3
+SMOOTHING_FACTOR = 0.3
 """Weight of the newest duration in the exponential moving average."""
 
-LIGHT_S = 3.0
+MAX_LIGHT_S = 3.0
 """Jobs known to take at most this long are light."""
 
 
@@ -54,19 +54,19 @@ class ExpectedTimes:
     def of(self, job: Job) -> float:
         """Return the expected duration of a job in seconds."""
         known = self._known(job)
-        return (_first_guess_s(job) if known is None else known) * _size_of(job)
+        return (_initial_estimate_s(job) if known is None else known) * _size_of(job)
 
     def is_light(self, job: Job) -> bool:
         """Return whether jobs of this kind were measured and were short."""
         known = self._known(job)
-        return known is not None and known * _size_of(job) <= LIGHT_S
+        return known is not None and known * _size_of(job) <= MAX_LIGHT_S
 
     def learn(self, job: Job, seconds: float) -> None:
         """Add the measured duration of a job."""
         took = seconds / _size_of(job)
         for key in _keys_of(job):
             known = self._seconds.get(key)
-            self._seconds.put(key, value=took if isinstance(known, Missing) else known + NEWEST_SHARE * (took - known))
+            self._seconds.put(key, value=took if isinstance(known, Missing) else known + SMOOTHING_FACTOR * (took - known))
 
     def _known(self, job: Job) -> float | None:
         for key in _keys_of(job):
@@ -76,8 +76,8 @@ class ExpectedTimes:
         return None
 
 
-def _first_guess_s(job: Job) -> float:
-    return FIRST_GUESS_OF_DAYS_S if isinstance(job, BlockJob) and _is_of_days(job) else FIRST_GUESS_S[type(job)]
+def _initial_estimate_s(job: Job) -> float:
+    return INITIAL_ESTIMATE_OF_DATES_S if isinstance(job, BlockJob) and _is_of_days(job) else INITIAL_ESTIMATE_S[type(job)]
 
 
 def _is_of_days(job: Job) -> bool:
@@ -109,4 +109,4 @@ def kind_of_job(job: Job) -> Hashable:
 def _size_of(job: Job) -> float:
     """Return the size of a job relative to the unit in which its kind is measured."""
     size = job.size if isinstance(job, SnapshotJob | MapJob | FrameJob) else None
-    return 1.0 if size is None else max(size[0] * size[1] / USUAL_PX, 0.01)
+    return 1.0 if size is None else max(size[0] * size[1] / REFERENCE_PX, 0.01)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from skugga.api.workers.jobs import CarriedPlans, Film, FilmCheckJob, FilmPicture, FrameJob
-from skugga.api.workers.map_plans import plans_in_service
+from skugga.api.workers.jobs import Film, FilmCheckJob, FilmPicture, FrameJob, PlanHandover
+from skugga.api.workers.map_plans import plan_function_in_service
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.selector.film import FrameMoment, film_frames, frame_moments
 from skugga.selector.replanning import Replanner
@@ -28,9 +28,9 @@ def film_picture(job: FrameJob, scene: Scene, basis: PlanBasis) -> FilmPicture:
     replanner = _replanner(job, moments[0], scene, basis, job.before)
     (frame,) = film_frames(scene, job.film_request(), moments, replanner)
     assert replanner.state is not None
-    return FilmPicture(frame.color, CarriedPlans(replanner.state))
+    return FilmPicture(frame.color, PlanHandover(replanner.state))
 
 
-def _replanner(film: Film, moment: FrameMoment, scene: Scene, basis: PlanBasis, before: CarriedPlans | None = None) -> Replanner:
-    plans = plans_in_service(moment.scene(scene), moment.view, film.level, basis)
+def _replanner(film: Film, moment: FrameMoment, scene: Scene, basis: PlanBasis, before: PlanHandover | None = None) -> Replanner:
+    plans = plan_function_in_service(moment.scene(scene), moment.view, film.level, basis)
     return Replanner(plans=plans, state=None if before is None else before.state)

@@ -92,7 +92,7 @@ class IdleCalibration:
             self._watching.cancel()
             await asyncio.gather(self._watching, return_exceptions=True)
 
-    def _want_one(self) -> None:
+    def _request_calibration(self) -> None:
         if not self._enabled:
             log.info(
                 "%s is not calibrated, so fixed rules choose. Run skugga calibrate to add predictions "
@@ -103,11 +103,11 @@ class IdleCalibration:
             "%s is not calibrated, so fixed rules choose until it is. The calibration takes a minute or two and runs while "
             "nothing is drawn", self._renderer,
         )  # fmt: skip
-        self._idle.add(IdleJob(self._measure, (), self._done, self._gave_up, lambda: self.expected))
+        self._idle.add(IdleJob(self._measure, (), self._done, self._note_failure, lambda: self.expected))
 
     async def _done(self, profile: DeviceProfile) -> None:
         if (profile.renderer, profile.version) != (self._renderer, self._version):
-            self._gave_up(f"the calibration is of another device, {profile.renderer}")
+            self._note_failure(f"the calibration is of another device, {profile.renderer}")
             return
         self._expected = False
         self._use(profile)
@@ -120,7 +120,7 @@ class IdleCalibration:
         else:
             log.info("%s; saved to %s", took, path)
 
-    def _gave_up(self, reason: str) -> None:
+    def _note_failure(self, reason: str) -> None:
         self._expected, self._failed = False, True
         log.warning("%s could not be calibrated, so fixed rules still choose: %s", self._renderer, reason)
 
@@ -129,7 +129,7 @@ class IdleCalibration:
         path = profile_path(self._renderer, self._version)
         seen = await self._read(path, None)
         if self._device() is None:
-            self._want_one()
+            self._request_calibration()
         while True:
             await asyncio.sleep(CHECK_EVERY_S)
             seen = await self._read(path, seen)

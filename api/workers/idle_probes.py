@@ -79,7 +79,7 @@ class IdleProbes:
         self._folder: Path | None = None
         self._read_ns: dict[str, int] = {}
         self._watching: asyncio.Task[None] | None = None
-        self._unkept = False
+        self._is_unsaved = False
 
     @property
     def waiting(self) -> int:
@@ -90,7 +90,7 @@ class IdleProbes:
         """Start with the renderer of the render processes. An empty ``version`` means that nothing can be probed."""
         if self._folder is None and version:
             self._folder = probes_folder(renderer, version)
-            self._take_up(self._changed())  # before the first picture, so that saved probes do not change its plan later
+            self._use_new_probes(self._changed())  # before the first picture, so that saved probes do not change its plan later
             self._watching = asyncio.create_task(self._watch())
 
     async def close(self) -> None:
@@ -99,7 +99,7 @@ class IdleProbes:
             self._watching.cancel()
             await asyncio.gather(self._watching, return_exceptions=True)
 
-    def lacking(self, level: LevelKey, unprobed: MapClass) -> None:
+    def request_probe(self, level: LevelKey, unprobed: MapClass) -> None:
         """Request a probe for a map that was planned without one."""
         device, key = self._device(), (level.version, unprobed.sun)
         if not self._enabled or self._folder is None or device is None or key in self._wanted | self._failed:
@@ -128,18 +128,18 @@ class IdleProbes:
             path = await asyncio.to_thread(save_probes, device.renderer, device.version, level.version, found)
         except OSError as error:
             log.log(
-                logging.INFO if self._unkept else logging.WARNING,
+                logging.INFO if self._is_unsaved else logging.WARNING,
                 "%s, but only until this service ends: %s cannot be written (%s)",
                 text, error.filename or self._folder, error.strerror or error,
             )  # fmt: skip
-            self._unkept = True
+            self._is_unsaved = True
         else:
             log.info("%s; saved to %s", text, path)
 
     async def _watch(self) -> None:
         while True:
             await asyncio.sleep(READ_EVERY_S)
-            self._take_up(await asyncio.to_thread(self._changed))
+            self._use_new_probes(await asyncio.to_thread(self._changed))
 
     def _changed(self) -> dict[str, MapProbes]:
         """Return the probes of files that have changed since they were read, by version of their level."""
@@ -156,7 +156,7 @@ class IdleProbes:
                     found[path.stem] = probes
         return found
 
-    def _take_up(self, found: Mapping[str, MapProbes]) -> None:
+    def _use_new_probes(self, found: Mapping[str, MapProbes]) -> None:
         new = {version: probes.model_dump_json() for version, probes in found.items()}
         probed = self._probed()
         if new := {version: text for version, text in new.items() if probed.get(version) != text}:

@@ -18,8 +18,8 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from skugga.api.workers.child_process import ChildProcess
-from skugga.api.workers.process_life import give_way
-from skugga.api.workers.spawned import PipedProcess
+from skugga.api.workers.piped_process import PipedProcess
+from skugga.api.workers.process_life import set_idle_priority
 from skugga.terrain.compiling.parent_process import end_with_parent
 from skugga.terrain.errors import SkuggaError
 
@@ -29,7 +29,7 @@ QUIET_S = 5.0
 QUIET_CHECK_S = 0.25
 """Interval between checks for idleness."""
 
-LONGEST_S = 900.0
+JOB_TIMEOUT_S = 900.0
 """Timeout of a job, without its pauses."""
 
 
@@ -46,7 +46,7 @@ class IdleJob:
         Called in the event loop with the result.
     failed
         Called in the event loop with the reason of a failure.
-    wanted
+    is_wanted
         Returns whether the result is still needed; otherwise the job is dropped.
     """
 
@@ -54,14 +54,14 @@ class IdleJob:
     args: tuple[Any, ...]
     done: Callable[[Any], Awaitable[None]]
     failed: Callable[[str], None]
-    wanted: Callable[[], bool] = lambda: True
+    is_wanted: Callable[[], bool] = lambda: True
 
 
 class _FailedError(Exception):
     """A job failed; the text is the reason."""
 
 
-class _NotWantedError(Exception):
+class _ObsoleteJobError(Exception):
     """The result is no longer needed."""
 
 
@@ -96,7 +96,7 @@ class IdleWork:
         self._disturbed_s = asyncio.get_running_loop().time()
         self._jobs.put_nowait(job)
 
-    def disturb(self) -> None:
+    def pause_for_requests(self) -> None:
         """Pause idle work, because a request has arrived."""
         self._disturbed_s = asyncio.get_running_loop().time()
         self._pause(True)
@@ -115,26 +115,26 @@ class IdleWork:
     async def _work(self) -> None:
         while True:
             job = await self._jobs.get()
-            while job.wanted() and not self._idle():
+            while job.is_wanted() and not self._idle():
                 await asyncio.sleep(QUIET_CHECK_S)
-            if not job.wanted():
+            if not job.is_wanted():
                 continue
             try:
                 await job.done(await self._result(job))
-            except _NotWantedError:
+            except _ObsoleteJobError:
                 continue
             except Exception as error:  # out of memory, descriptors or disk, or a bug: requests must not notice
                 job.failed(_reason(error))
 
     def _idle(self) -> bool:
         if self._busy():
-            self.disturb()
+            self.pause_for_requests()
         return asyncio.get_running_loop().time() - self._disturbed_s >= QUIET_S
 
     async def _result(self, job: IdleJob) -> Any:
         """Run a job and return its result. The process never outlives this call.
 
-        Raises ``_FailedError``, ``_NotWantedError`` or ``OSError``.
+        Raises ``_FailedError``, ``_ObsoleteJobError`` or ``OSError``.
         """
         # Files that a killed process leaves behind are deleted with its temporary folder.
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
@@ -159,17 +159,17 @@ class IdleWork:
 
     async def _watch(self, job: IdleJob, answer: asyncio.Future[Any]) -> None:
         """Wait for an answer; pause and resume the process as requests come and go."""
-        left_s = LONGEST_S
+        left_s = JOB_TIMEOUT_S
         while not answer.done():
             await asyncio.wait({answer}, timeout=QUIET_CHECK_S)
-            if not job.wanted():
-                raise _NotWantedError
+            if not job.is_wanted():
+                raise _ObsoleteJobError
             if self._idle():
                 self._pause(False)
             if not self.paused:
                 left_s -= QUIET_CHECK_S
                 if left_s <= 0.0:
-                    raise _FailedError(f"it took longer than {LONGEST_S:g} s")
+                    raise _FailedError(f"it took longer than {JOB_TIMEOUT_S:g} s")
 
     def _pause(self, pause: bool) -> None:
         if self.pid is not None and pause != self.paused:
@@ -184,7 +184,7 @@ def idle_main(pipe: Connection, folder: str, gl_threads: int, function: Callable
     end_with_parent()
     if pipe.poll(0):  # the pipe is closed, since nothing is ever sent: the service ended before this process watched it
         return
-    give_way()
+    set_idle_priority()
     os.environ.setdefault("LP_NUM_THREADS", str(gl_threads))
     tempfile.tempdir = folder
     try:

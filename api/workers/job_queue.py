@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from skugga.api.workers.expected_times import ExpectedTimes, kind_of_job
 from skugga.api.workers.jobs import Answer, Job
 
-BEHIND_S = 20.0
+BACKGROUND_PENALTY_S = 20.0
 """Queue penalty of a background job, in seconds: it counts as having arrived this much later.
 
 Requests that arrive meanwhile go first. Under a continuous load background jobs still make progress.
@@ -27,7 +27,7 @@ class PendingJob:
         The job.
     answer : asyncio.Future
         Receives the answer.
-    came_s, began_s : float
+    arrived_s, started_s : float
         When the job arrived and when it started, by the event loop's clock.
     cost_s : float
         Expected duration in seconds.
@@ -35,7 +35,7 @@ class PendingJob:
         Timer that ends the waiting.
     clients : Counter
         Number of waiting requests per client. The job is charged to the first client.
-    begun : int
+    start_count : int
         Number of times the job was started.
     plan_version : str
         Version of the plans that the job started with.
@@ -45,12 +45,12 @@ class PendingJob:
 
     job: Job
     answer: asyncio.Future[Answer]
-    came_s: float
+    arrived_s: float
     expires: asyncio.TimerHandle | None = None
-    began_s: float | None = None
+    started_s: float | None = None
     cost_s: float = 0.0
     clients: Counter[str] = field(default_factory=Counter)
-    begun: int = 0
+    start_count: int = 0
     plan_version: str = ""
     is_background: bool = False
 
@@ -60,9 +60,9 @@ class PendingJob:
         return next(iter(self.clients), "")
 
     @property
-    def turn_s(self) -> float:
+    def sort_key_s(self) -> float:
         """Sort key of the job among jobs of its client."""
-        return self.came_s + self.cost_s + (BEHIND_S if self.is_background else 0.0)
+        return self.arrived_s + self.cost_s + (BACKGROUND_PENALTY_S if self.is_background else 0.0)
 
 
 @dataclass
@@ -74,7 +74,7 @@ class JobQueue:
     its share of the processes, whatever load the others add.
 
     A client's jobs are ordered by arrival time plus expected duration. Light jobs overtake heavy ones that arrived a little
-    earlier, and no job starves. Background jobs carry a penalty of ``BEHIND_S`` and do not count in admission control.
+    earlier, and no job starves. Background jobs carry a penalty of ``BACKGROUND_PENALTY_S`` and do not count in admission control.
 
     Background jobs, and jobs not known to be light, use all processes but one if there are several. One process stays free for
     light jobs.
@@ -89,7 +89,7 @@ class JobQueue:
         Waiting jobs.
     running : set
         Running jobs.
-    earned_s : dict
+    credit_s : dict
         Unspent credit of each waiting client, in seconds. The client that had the last turn comes last.
     """
 
@@ -97,7 +97,7 @@ class JobQueue:
     expected: ExpectedTimes = field(default_factory=ExpectedTimes)
     waiting: dict[Job, PendingJob] = field(default_factory=dict)
     running: set[PendingJob] = field(default_factory=set)
-    earned_s: dict[str, float] = field(default_factory=dict)
+    credit_s: dict[str, float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.waiting)
@@ -107,7 +107,7 @@ class JobQueue:
         """Waiting jobs without background jobs."""
         return [each for each in self.waiting.values() if not each.is_background]
 
-    def of_client(self, client: str) -> list[PendingJob]:
+    def jobs_of_client(self, client: str) -> list[PendingJob]:
         """Return the waiting jobs, without background jobs, that are charged to a client."""
         return [each for each in self.pictures if each.client == client]
 
@@ -124,7 +124,7 @@ class JobQueue:
         if pending is None:
             return None
         del self.waiting[pending.job]
-        pending.began_s, pending.begun = now_s, pending.begun + 1
+        pending.started_s, pending.start_count = now_s, pending.start_count + 1
         self.running.add(pending)
         return pending
 
@@ -150,11 +150,11 @@ class JobQueue:
         cost_s = self.expected.of(job)
         work_s: dict[str, float] = {client: 0.0}
         for each in self.pictures:
-            if each.client != client or each.turn_s <= now_s + cost_s:
+            if each.client != client or each.sort_key_s <= now_s + cost_s:
                 work_s[each.client] = work_s.get(each.client, 0.0) + each.cost_s
         own_s = work_s.pop(client)
         others_s = sum(min(each_s, own_s + cost_s) for each_s in work_s.values())
-        left_s = sum(max(each.cost_s - (now_s - (each.began_s or now_s)), 0.0) for each in self.running)
+        left_s = sum(max(each.cost_s - (now_s - (each.started_s or now_s)), 0.0) for each in self.running)
         return (own_s + others_s + left_s) / self.processes
 
     def _next(self, candidates: Iterable[PendingJob], now_s: float) -> PendingJob | None:
@@ -162,27 +162,29 @@ class JobQueue:
         firsts: dict[str, PendingJob] = {}
         for each in candidates:
             if each.is_background:
-                background = each if background is None or each.turn_s < background.turn_s else background
-            elif each.client not in firsts or each.turn_s < firsts[each.client].turn_s:
+                background = each if background is None or each.sort_key_s < background.sort_key_s else background
+            elif each.client not in firsts or each.sort_key_s < firsts[each.client].sort_key_s:
                 firsts[each.client] = each
-        if background is not None and (background.turn_s < now_s or not firsts):
+        if background is not None and (background.sort_key_s < now_s or not firsts):
             return background
         return self._first_by_deficit(firsts) if firsts else None
 
     def _first_by_deficit(self, firsts: dict[str, PendingJob]) -> PendingJob:
         """Choose among the first jobs of several clients by deficit round robin, and update the clients' credit."""
-        known = [client for client in self.earned_s if client in firsts]  # ordered by last turn
-        wanting = {client: firsts[client].cost_s - self.earned_s.get(client, 0.0) for client in dict.fromkeys([*known, *firsts])}
-        chosen = min(wanting, key=lambda client: wanting[client])
-        earning_s = max(wanting[chosen], 0.0)
-        waiting = {each.client for each in self.pictures}
-        earned_s = {
-            client: self.earned_s.get(client, 0.0) for client in dict.fromkeys([*self.earned_s, *wanting]) if client in waiting
+        ordered_clients = [client for client in self.credit_s if client in firsts]  # ordered by last turn
+        deficits_s = {
+            client: firsts[client].cost_s - self.credit_s.get(client, 0.0) for client in dict.fromkeys([*ordered_clients, *firsts])
         }
-        for client in wanting:  # credit is capped at the cost of the next job
-            earned_s[client] = min(earned_s[client] + earning_s, firsts[client].cost_s)
-        earned_s[chosen] = earned_s.pop(chosen) - firsts[chosen].cost_s
-        self.earned_s = earned_s
+        chosen = min(deficits_s, key=lambda client: deficits_s[client])
+        earned_now_s = max(deficits_s[chosen], 0.0)
+        waiting = {each.client for each in self.pictures}
+        credit_s = {
+            client: self.credit_s.get(client, 0.0) for client in dict.fromkeys([*self.credit_s, *deficits_s]) if client in waiting
+        }
+        for client in deficits_s:  # credit is capped at the cost of the next job
+            credit_s[client] = min(credit_s[client] + earned_now_s, firsts[client].cost_s)
+        credit_s[chosen] = credit_s.pop(chosen) - firsts[chosen].cost_s
+        self.credit_s = credit_s
         return firsts[chosen]
 
     def _is_light(self, pending: PendingJob) -> bool:

@@ -165,7 +165,7 @@ class FilmCheckJob(Film):
 
 
 @dataclass(frozen=True, eq=False)
-class CarriedPlans:
+class PlanHandover:
     """Planning state that a frame hands to the next one, which another process may draw. Compared by identity."""
 
     state: PlanState
@@ -175,7 +175,7 @@ class FrameJob(Film):
     """Draw a frame of a film, counted from 0. Its plans continue those of the previous frame."""
 
     number: int
-    before: InstanceOf[CarriedPlans] | None = None
+    before: InstanceOf[PlanHandover] | None = None
 
 
 Job = (
@@ -339,7 +339,7 @@ class FilmPicture:
     """A frame of a film: ``color`` uint8 (rows, cols, 3), and the planning state for the next frame."""
 
     color: np.ndarray
-    after: CarriedPlans
+    after: PlanHandover
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ STEP_DIGITS = 9
 
 
 @dataclass(frozen=True, eq=False)
-class MapFile:
+class EncodedMap:
     """A map's file with facts about its drawing; ``reach`` is ``None`` unless a single sun lit it."""
 
     body: bytes
@@ -35,7 +35,7 @@ class MapFile:
     reach: Reach | None = None
 
 
-def map_asked(scene: Scene, job: MapJob) -> tuple[MapView, bool]:
+def requested_map_view(scene: Scene, job: MapJob) -> tuple[MapView, bool]:
     """Return the view of a map, and whether it shows any data of the level. Raises ``InputError``."""
     if job.bounds is not None and job.crs is not None:
         crs = CRS.from_user_input(job.crs)
@@ -46,7 +46,7 @@ def map_asked(scene: Scene, job: MapJob) -> tuple[MapView, bool]:
     return view, True
 
 
-def planned_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]:
+def representative_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]:
     """Return the key of a map's scale, and the part of the level that stands for all its maps of that scale and CRS.
 
     All these maps share the plan of that part, like the tiles of a zoom.
@@ -60,36 +60,36 @@ def planned_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]:
     return (view.grid, row_step, col_step), part
 
 
-def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], Plan]) -> MapFile:
+def map_file(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], Plan]) -> EncodedMap:
     """Compute a map; ``plan_of`` returns the plan of a scale from its key and part. Raises ``SkuggaError``."""
-    request, (view, has_data) = job.request, map_asked(scene, job)
+    request, (view, has_data) = job.request, requested_map_view(scene, job)
     product, start = request.record, clock.perf_counter()
     if not has_data:
         empty = product.empty_array if job.format in ARRAY_FORMATS else product.empty_picture
         array = empty(view.rows, view.cols, scene.height_range_m[0])
         if product.needs:
             return _map_file(job, array, view, NO_SHADOWS, (), NO_CASTERS.reach)
-        return _map_file(job, array, view, product.name, (_whole_pass(product.name, start),), None)
+        return _map_file(job, array, view, product.name, (_single_pass(product.name, start),), None)
     product.check(scene)
-    plan = plan_of(*planned_part(scene, view)) if product.needs else None
+    plan = plan_of(*representative_part(scene, view)) if product.needs else None
     computed = compute(scene, view, request, plan)
     array = colored(computed.array, product, request.options, scene.world, job.format)
     if plan is None:
-        return _map_file(job, array, view, product.name, (_whole_pass(product.name, start),), None)
+        return _map_file(job, array, view, product.name, (_single_pass(product.name, start),), None)
     return _map_file(job, array, view, plan.headline, computed.passes, computed.reach)
 
 
-def _whole_pass(name: str, start: float) -> PassRecord:
+def _single_pass(name: str, start: float) -> PassRecord:
     """Return the record of a product without passes, which started at ``start`` of the performance counter."""
     return PassRecord(name, (clock.perf_counter() - start) * 1000.0)
 
 
 def _map_file(
     job: MapJob, array: np.ndarray, view: MapView, headline: str, passes: tuple[PassRecord, ...], reach: Reach | None
-) -> MapFile:
+) -> EncodedMap:
     start = clock.perf_counter()
     body = encode(_over(array, job.background), job.request.record, job.format, view)
-    return MapFile(body, (clock.perf_counter() - start) * 1000.0, headline, passes, reach)
+    return EncodedMap(body, (clock.perf_counter() - start) * 1000.0, headline, passes, reach)
 
 
 def _over(array: np.ndarray, background: str | None) -> np.ndarray:

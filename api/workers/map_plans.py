@@ -32,14 +32,16 @@ def plan_in_service(
     policy: PolicyName = "predict",
 ) -> Plan:
     """Return the plan of a view of a level. Raises ``SkuggaError``."""
-    return plan_of_view(scene, view, name, overrides, policy, basis.device, seen=_seen(scene, view, overrides, level, basis))
+    return plan_of_view(
+        scene, view, name, overrides, policy, basis.device, seen=_observations(scene, view, overrides, level, basis)
+    )
 
 
-def plans_in_service(scene: Scene, view: MapView | PerspectiveView, level: LevelKey, basis: PlanBasis) -> PlanFunction:
+def plan_function_in_service(scene: Scene, view: MapView | PerspectiveView, level: LevelKey, basis: PlanBasis) -> PlanFunction:
     """Return a function that plans a view of a level from its descriptor, as ``plan_in_service`` does, for any request."""
 
     def plan(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None) -> Plan:
-        seen = _seen(scene, view, overrides or {}, level, basis)
+        seen = _observations(scene, view, overrides or {}, level, basis)
         return select(descriptor, plan_request, overrides, "predict", basis.device, seen)
 
     return plan
@@ -51,7 +53,7 @@ def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], le
     return found if basis.device is not None and found is not None and basis.probes_of(level).of(found) is None else None
 
 
-def _seen(
+def _observations(
     scene: Scene, view: MapView | PerspectiveView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis
 ) -> Mapping[str, tuple[Observation, ...]] | None:
     return basis.probes_of(level).of(_class(scene, view, overrides)) if isinstance(view, MapView) else None

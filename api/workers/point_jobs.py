@@ -7,7 +7,7 @@ from typing import Any
 
 from skugga.api.point.horizon_formats import directions_for, horizon_file
 from skugga.api.point.polar_picture import sky_picture
-from skugga.api.point.report import around_point, clock_asked, day_asked, report_or_null
+from skugga.api.point.report import point_surroundings, report_or_null, requested_clock, requested_day
 from skugga.api.point.sky_figures import sky_figures
 from skugga.api.point.track import sun_at_points
 from skugga.api.workers.jobs import PointAnswer, PointJob, PointsJob
@@ -19,11 +19,11 @@ def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
     """Return a point's report (nulls where the level has no data), horizon file, sky chart or figures. Raises ``InputError``."""
     if job.product == "report":
         return PointAnswer(report_or_null(scene, job.query).model_dump_json().encode())
-    around = around_point(scene, job.query)
+    around = point_surroundings(scene, job.query)
     if job.product == "horizon":
         return PointAnswer(horizon_file(job.format, horizon_profile(around, directions_for(job.format)), around.place).encode())
-    day = day_asked(scene, job.query, around.place.lon_deg)
-    clock = clock_asked(scene, job.query, around.place.lon_deg, day)
+    day = requested_day(scene, job.query, around.place.lon_deg)
+    clock = requested_clock(scene, job.query, around.place.lon_deg, day)
     if job.format == "json":
         return PointAnswer(sky_figures(around, horizon_profile(around), day, clock).model_dump_json().encode())
     format: Any = job.format

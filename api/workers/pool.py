@@ -14,11 +14,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from skugga.api.errors import ExhaustedError, LaterError, SetAsideError, WorkerCrashError, WorkerStartError
-from skugga.api.exhaustion import exhausted_error, in_thread
+from skugga.api.errors import CircuitOpenError, ExhaustedError, RetryLaterError, WorkerCrashError, WorkerStartError
+from skugga.api.resource_exhaustion import exhausted_error, run_in_pool
 from skugga.api.settings import Settings
 from skugga.api.workers.admission import check_admission, retry_after_s
 from skugga.api.workers.background_compile import BackgroundCompile
+from skugga.api.workers.circuit_breaker import CircuitBreaker
 from skugga.api.workers.idle_calibration import IdleCalibration, measured_profile
 from skugga.api.workers.idle_probes import IdleProbes, Probe, probed_level
 from skugga.api.workers.idle_work import IdleWork
@@ -38,10 +39,9 @@ from skugga.api.workers.jobs import (
     Result,
     Snapshot,
 )
+from skugga.api.workers.piped_process import Spawned, WorkerTarget
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.process_life import is_stopped
-from skugga.api.workers.set_aside import SetAside
-from skugga.api.workers.spawned import Spawned, WorkerTarget
 from skugga.api.workers.worker_config import first_config
 from skugga.api.workers.worker_main import worker_main
 from skugga.api.workers.worker_process import WorkerProcess
@@ -53,16 +53,16 @@ from skugga.terrain.gl.egl_devices import NO_OPENGL
 if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
+INITIAL_BACKOFF_S, MAX_BACKOFF_S = 0.5, 30.0
 """Backoff before restarts: from the second failed start in a row it starts here and doubles up to the maximum."""
 
 PREPARE_AFTER_S = 1.0
 """Idle time after which a process is told what to prepare."""
 
-PING_EVERY_S, PONG_S = 5.0, 30.0
+HEARTBEAT_INTERVAL_S, HEARTBEAT_TIMEOUT_S = 5.0, 30.0
 """Idle time before a heartbeat, and its timeout. The process may be opening a level for later requests."""
 
-TRIES = 2
+MAX_STARTS = 2
 """Maximum number of starts of a job whose process dies while it runs."""
 
 log = logging.getLogger("skugga")
@@ -139,10 +139,10 @@ class Pool:
         self._finished: Cache[BlockTiles | Snapshot] = Cache(
             "skugga.api.workers.finished", "process", settings.block_cache_bytes, lambda drawn: drawn.nbytes
         )
-        self._flights: dict[Job, PendingJob] = {}
+        self._pending: dict[Job, PendingJob] = {}
         self._queue = JobQueue(settings.workers)
-        self._set_aside = SetAside()
-        self._news = asyncio.Event()
+        self._circuit_breaker = CircuitBreaker()
+        self._wake = asyncio.Event()
         self._slots: list[asyncio.Task[None]] = []
         self._workers: set[WorkerProcess] = set()
         self._start_error: SkuggaError | None = None
@@ -158,7 +158,7 @@ class Pool:
         self.calibrating = IdleCalibration(settings.calibrate_when_idle, self.idle, self._device, self._use, measure)
         self.probing = IdleProbes(settings.probe_when_idle, self.idle, self._device, self._probed, self._use_probed, probe)
         self.pids: set[int] = set()
-        self.tally = PoolCounters()
+        self.counters = PoolCounters()
         self.on_drawn: Callable[[BlockTiles | Snapshot], None] = lambda drawn: None
 
     @property
@@ -214,7 +214,7 @@ class Pool:
         return len(self._queue.running)
 
     @property
-    def kept_bytes(self) -> int:
+    def cached_bytes(self) -> int:
         """Bytes of the cached blocks and snapshots."""
         return self._finished.nbytes
 
@@ -230,7 +230,7 @@ class Pool:
     def open(self) -> None:
         """Start the processes. Returns at once."""
         self.idle.open()
-        self._slots = [asyncio.create_task(self._slot(number)) for number in range(self._settings.workers)]
+        self._slots = [asyncio.create_task(self._supervise(number)) for number in range(self._settings.workers)]
 
     async def close(self) -> None:
         """End the processes, and fail all pending jobs."""
@@ -242,7 +242,7 @@ class Pool:
             self.calibrating.close(), self.probing.close(), self.idle.close(), self.compiling.close(), *self._slots,
             return_exceptions=True,
         )  # fmt: skip
-        self._fail_all(BusyError("The service is shutting down."), list(self._flights.values()))
+        self._fail_all(BusyError("The service is shutting down."), list(self._pending.values()))
         self._threads.shutdown(wait=True)
 
     def expected_wait_s(self, job: Job, client: str) -> float:
@@ -272,77 +272,77 @@ class Pool:
         SkuggaError
             The work itself failed.
         """
-        kept = self.finished(job)
-        if kept is not None:
-            return kept
+        cached = self.finished(job)
+        if cached is not None:
+            return cached
         version = self._version_of(job)
-        flight = self._flights.get(job) or self._enqueue(job, client)
-        answer = await self._landed(flight, client)
-        if flight.plan_version not in (version, self._version_of(job)):  # the job had started earlier, with older plans
-            answer = await self._landed(self._flights.get(job) or self._enqueue(job, client), client)
+        pending = self._pending.get(job) or self._enqueue(job, client)
+        answer = await self._finished_answer(pending, client)
+        if pending.plan_version not in (version, self._version_of(job)):  # the job had started earlier, with older plans
+            answer = await self._finished_answer(self._pending.get(job) or self._enqueue(job, client), client)
         if isinstance(answer, Failure):
             raise answer.error()
         return answer
 
-    async def _landed(self, flight: PendingJob, client: str) -> Answer:
+    async def _finished_answer(self, pending: PendingJob, client: str) -> Answer:
         """Wait for the answer to a pending job on behalf of a client."""
-        job = flight.job
-        flight.clients[client] += 1
+        job = pending.job
+        pending.clients[client] += 1
         try:
-            return await asyncio.shield(flight.answer)
+            return await asyncio.shield(pending.answer)
         finally:
-            flight.clients[client] -= 1
-            flight.clients += Counter()  # drops clients without waiting requests
-            if not flight.clients and self._queue.waiting.get(job) is flight:
-                self._forget(flight)
-                flight.answer.cancel()
-                self.tally.abandoned += 1
+            pending.clients[client] -= 1
+            pending.clients += Counter()  # drops clients without waiting requests
+            if not pending.clients and self._queue.waiting.get(job) is pending:
+                self._forget(pending)
+                pending.answer.cancel()
+                self.counters.abandoned += 1
 
     def _enqueue(self, job: Job, client: str) -> PendingJob:
         if self._closed:
             raise BusyError("The service is shutting down.")
         if self._start_error is not None and not self.pids:
-            raise _start_failure(self._start_error)
-        self.idle.disturb()
+            raise _start_error_of(self._start_error)
+        self.idle.pause_for_requests()
         loop = asyncio.get_running_loop()
-        left_s = self._set_aside.seconds_left(job)
+        left_s = self._circuit_breaker.seconds_left(job)
         if left_s > 0.0:
-            self.tally.refused += 1
-            raise _set_aside(job, left_s)
-        flight = PendingJob(job, loop.create_future(), loop.time(), is_background=isinstance(job, FrameJob))
+            self.counters.refused += 1
+            raise _circuit_open_error(job, left_s)
+        pending = PendingJob(job, loop.create_future(), loop.time(), is_background=isinstance(job, FrameJob))
         # Mark errors as retrieved, since no request may wait for them any more.
-        flight.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
-        if not flight.is_background:
+        pending.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
+        if not pending.is_background:
             try:
                 check_admission(self._queue, job, client, loop.time(), self._settings, bool(self.pids))
-            except LaterError:
-                self.tally.refused += 1
+            except RetryLaterError:
+                self.counters.refused += 1
                 raise
-            self._limit_waiting(flight)
-        self._flights[job] = flight
-        self._queue.put(flight)
-        self._news.set()
-        return flight
+            self._limit_waiting(pending)
+        self._pending[job] = pending
+        self._queue.put(pending)
+        self._wake.set()
+        return pending
 
-    def _limit_waiting(self, flight: PendingJob) -> None:
-        flight.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, flight)
+    def _limit_waiting(self, pending: PendingJob) -> None:
+        pending.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, pending)
 
-    def _expire(self, flight: PendingJob) -> None:
+    def _expire(self, pending: PendingJob) -> None:
         """Fail a job that has waited too long.
 
         The limit does not apply before the first process has started or failed to, or while a process compiles loops.
         """
-        if self._queue.waiting.get(flight.job) is not flight:
+        if self._queue.waiting.get(pending.job) is not pending:
             return
         if not self._settled.is_set() or any(worker.is_preparing for worker in self._workers):
-            self._limit_waiting(flight)
+            self._limit_waiting(pending)
             return
-        self.tally.expired += 1
+        self.counters.expired += 1
         waited = f"The service is busy: this picture waited longer than the limit of {self._settings.queue_timeout_s:g} s."
-        wait_s = self._queue.wait_s(flight.job, flight.client, asyncio.get_running_loop().time())
-        self._land(flight, LaterError(waited, retry_after_s(wait_s)))
+        wait_s = self._queue.wait_s(pending.job, pending.client, asyncio.get_running_loop().time())
+        self._finish(pending, RetryLaterError(waited, retry_after_s(wait_s)))
 
-    async def _slot(self, number: int) -> None:
+    async def _supervise(self, number: int) -> None:
         """Supervise one render process: restart it with backoff for ever.
 
         The other slots wait until the first one has started, since it compiles loops for all.
@@ -352,16 +352,16 @@ class Pool:
         failures = 0
         while True:
             if failures > 1:
-                await asyncio.sleep(min(FIRST_PAUSE_S * 2 ** (failures - 2), LONGEST_PAUSE_S))
+                await asyncio.sleep(min(INITIAL_BACKOFF_S * 2 ** (failures - 2), MAX_BACKOFF_S))
             try:
-                healthy = await self._one_process(number)
+                healthy = await self._run_process(number)
             except Exception as error:  # out of descriptors, threads or memory, or a bug: the slot survives all of them
                 log.error("a supervisor of render processes failed and starts another process: %s: %s", type(error).__name__, error)
-                self._could_not_start(exhausted_error(error) or WorkerStartError(f"a render process cannot be started: {error}"))
+                self._note_start_failure(exhausted_error(error) or WorkerStartError(f"a render process cannot be started: {error}"))
                 healthy = False
             failures = 0 if healthy else failures + 1
 
-    async def _one_process(self, number: int) -> bool:
+    async def _run_process(self, number: int) -> bool:
         """Run one process. Return whether it started, and ended in good order or after taking a job."""
         spawned, self._spawned = self._spawned, None
         if spawned is None:
@@ -369,10 +369,10 @@ class Pool:
             needs_opengl = self.renderer not in (None, NO_OPENGL)
             config = replace(self._config, needs_opengl=needs_opengl, basis=self.basis, number=number)
             spawned = Spawned(self._target, config)
-        worker = WorkerProcess(spawned, self._threads, self._news.set, self._note_preparing)
+        worker = WorkerProcess(spawned, self._threads, self._wake.set, self._note_preparing)
         self._workers.add(worker)
         try:
-            worker.first_blocks = await in_thread(self._threads, self._first_blocks)
+            worker.first_blocks = await run_in_pool(self._threads, self._first_blocks)
             return await self._start_and_serve(worker)
         finally:
             self._workers.discard(worker)
@@ -387,14 +387,14 @@ class Pool:
             self.renderer, self.basis = ready.renderer, self.basis or worker.basis
         except SkuggaError as error:
             log.error("a render process could not be started: %s", error)
-            self._could_not_start(error)
+            self._note_start_failure(error)
             return False
         finally:
             self._starting -= 1
             self._settled.set()
         took = asyncio.get_running_loop().time() - began
         self._start_error = None
-        self.tally.started += 1
+        self.counters.started += 1
         self.pids.add(worker.pid or 0)
         drawn_with = f"{self.renderer}, {ready.egl_device}" if ready.egl_device else self.renderer
         log.info("render process %s ready after %.1f s: %s", worker.pid, took, drawn_with)
@@ -404,61 +404,61 @@ class Pool:
         self.probing.begin(ready.renderer, ready.version)
         return await self._serve(worker)
 
-    def _could_not_start(self, error: SkuggaError) -> None:
+    def _note_start_failure(self, error: SkuggaError) -> None:
         self._start_error = error
         self._settled.set()
         if not self.pids:
-            self._fail_all(_start_failure(error), list(self._queue.waiting.values()))
+            self._fail_all(_start_error_of(error), list(self._queue.waiting.values()))
 
     async def _serve(self, worker: WorkerProcess) -> bool:
         """Serve jobs with a process. Return whether it took any: a later end is the job's doing, not a failed start."""
         for count in range(self._settings.recycle_blocks):
-            flight = await self._next(worker)
-            if flight is None:
+            pending = await self._next(worker)
+            if pending is None:
                 return count > 0
-            flight.plan_version = self._version_of(flight.job)
+            pending.plan_version = self._version_of(pending.job)
             try:
-                answer = await worker.ask(flight.job, self._settings.render_timeout_s, self.basis)
+                answer = await worker.ask(pending.job, self._settings.render_timeout_s, self.basis)
             except ExhaustedError as error:  # the process did not receive the job
-                self._land(flight, error)
+                self._finish(pending, error)
                 continue
             except WorkerCrashError as error:
                 log.error("render process %s is replaced: %s", worker.pid, error)
-                self._try_again(flight, error)
+                self._retry_or_finish(pending, error)
                 return True
             except RenderTimeoutError as error:
                 log.error("render process %s is replaced: %s", worker.pid, error)
-                self.tally.timed_out += 1
-                self._queue.learn(flight.job, self._settings.render_timeout_s)
-                self._land(flight, error)
-                self._fails(flight.job)
+                self.counters.timed_out += 1
+                self._queue.learn(pending.job, self._settings.render_timeout_s)
+                self._finish(pending, error)
+                self._record_crash(pending.job)
                 return True
             except Exception as error:  # a bug of this slot: clients must not wait for ever
-                self._land(flight, WorkerCrashError(f"the supervisor of the render process failed: {error!r}"))
+                self._finish(pending, WorkerCrashError(f"the supervisor of the render process failed: {error!r}"))
                 raise
             if isinstance(answer, Failure) and answer.fatal:
                 log.error("render process %s is replaced: %s", worker.pid, answer.message)
-                self._try_again(flight, answer)
+                self._retry_or_finish(pending, answer)
                 return True
-            self._land(flight, answer, learn=not worker.prepared)
+            self._finish(pending, answer, learn=not worker.has_prepared)
         log.info("render process %s is replaced after %d jobs", worker.pid, self._settings.recycle_blocks)
         return True
 
     async def _next(self, worker: WorkerProcess) -> PendingJob | None:
         """Return the next job of the queue; ``None`` if the process dies or stops answering while it waits."""
         loop = asyncio.get_running_loop()
-        while not worker.dead:
-            flight = self._queue.take(loop.time())
-            if flight is not None:
-                if flight.expires is not None:
-                    flight.expires.cancel()
-                return flight
-            self._news.clear()
+        while not worker.has_ended:
+            pending = self._queue.take(loop.time())
+            if pending is not None:
+                if pending.expires is not None:
+                    pending.expires.cancel()
+                return pending
+            self._wake.clear()
             try:
-                await asyncio.wait_for(self._news.wait(), PREPARE_AFTER_S if worker.first_blocks else PING_EVERY_S)
+                await asyncio.wait_for(self._wake.wait(), PREPARE_AFTER_S if worker.first_blocks else HEARTBEAT_INTERVAL_S)
             except TimeoutError:
                 try:
-                    pong = await worker.ask(Ping(worker.first_blocks), PONG_S)
+                    pong = await worker.ask(Ping(worker.first_blocks), HEARTBEAT_TIMEOUT_S)
                     worker.first_blocks = ()
                     if isinstance(pong, Pong):
                         self.compiling.begin(pong.missing_loops)
@@ -470,79 +470,79 @@ class Pool:
         log.error("render process %s died while it was idle", worker.pid)
         return None
 
-    def _try_again(self, flight: PendingJob, outcome: Failure | SkuggaError) -> None:
+    def _retry_or_finish(self, pending: PendingJob, outcome: Failure | SkuggaError) -> None:
         """Start a job again, once, whose process ended, if a client still waits. Otherwise answer with the outcome."""
-        if flight.begun < TRIES and flight.clients and not self._closed:
-            self._queue.discard(flight)
-            self._queue.put(flight)
-            self._news.set()
-            self.tally.retried += 1
-            if not flight.is_background:
-                self._limit_waiting(flight)
+        if pending.start_count < MAX_STARTS and pending.clients and not self._closed:
+            self._queue.discard(pending)
+            self._queue.put(pending)
+            self._wake.set()
+            self.counters.retried += 1
+            if not pending.is_background:
+                self._limit_waiting(pending)
             return
-        self._land(flight, outcome)
-        self._fails(flight.job)
+        self._finish(pending, outcome)
+        self._record_crash(pending.job)
 
-    def _fails(self, job: Job) -> None:
+    def _record_crash(self, job: Job) -> None:
         """Record that a job ended its process. If that opens the circuit breaker, fail waiting jobs of its kind."""
-        self._set_aside.failed(job)
-        left_s = self._set_aside.seconds_left(job)
+        self._circuit_breaker.failed(job)
+        left_s = self._circuit_breaker.seconds_left(job)
         if left_s <= 0.0:
             return
-        log.error("%s keeps failing: its circuit breaker is open for %.0f s", _named(job), left_s)
-        for flight in list(self._queue.waiting.values()):
-            if self._set_aside.seconds_left(flight.job) > 0.0:
-                self._land(flight, _set_aside(flight.job, left_s))
+        log.error("%s keeps failing: its circuit breaker is open for %.0f s", _job_title(job), left_s)
+        for pending in list(self._queue.waiting.values()):
+            if self._circuit_breaker.seconds_left(pending.job) > 0.0:
+                self._finish(pending, _circuit_open_error(pending.job, left_s))
 
-    def _land(self, flight: PendingJob, answer: Answer | SkuggaError, learn: bool = True) -> None:
+    def _finish(self, pending: PendingJob, answer: Answer | SkuggaError, learn: bool = True) -> None:
         """Answer all clients that wait for a job.
 
         Learn its duration if ``learn`` is set. A one-time preparation before the job makes the duration unrepresentative.
         """
-        if flight.began_s is not None and not isinstance(answer, SkuggaError | Failure):
+        if pending.started_s is not None and not isinstance(answer, SkuggaError | Failure):
             if learn:
-                self._queue.learn(flight.job, asyncio.get_running_loop().time() - flight.began_s)
-            self._set_aside.succeeded(flight.job)
-        self._forget(flight)
-        if flight.answer.done():
+                self._queue.learn(pending.job, asyncio.get_running_loop().time() - pending.started_s)
+            self._circuit_breaker.succeeded(pending.job)
+        self._forget(pending)
+        if pending.answer.done():
             return
         if isinstance(answer, SkuggaError):
-            self.tally.failed += 1
-            flight.answer.set_exception(answer)
+            self.counters.failed += 1
+            pending.answer.set_exception(answer)
         else:
-            self.tally.answered += 1
+            self.counters.answered += 1
             if isinstance(answer, BlockTiles | Snapshot):
-                self._finished.put(flight.job, answer.plan_version, value=answer)
+                self._finished.put(pending.job, answer.plan_version, value=answer)
                 self.on_drawn(answer)
-            if isinstance(answer, BlockTiles) and isinstance(flight.job, BlockJob) and answer.unprobed is not None:
-                self.probing.lacking(flight.job.level, answer.unprobed)
-            flight.answer.set_result(answer)
+            if isinstance(answer, BlockTiles) and isinstance(pending.job, BlockJob) and answer.unprobed is not None:
+                self.probing.request_probe(pending.job.level, answer.unprobed)
+            pending.answer.set_result(answer)
 
-    def _forget(self, flight: PendingJob) -> None:
-        if flight.expires is not None:
-            flight.expires.cancel()
-        if self._flights.get(flight.job) is flight:
-            del self._flights[flight.job]
-        self._queue.discard(flight)
-        self._news.set()  # a waiting job may start now
+    def _forget(self, pending: PendingJob) -> None:
+        if pending.expires is not None:
+            pending.expires.cancel()
+        if self._pending.get(pending.job) is pending:
+            del self._pending[pending.job]
+        self._queue.discard(pending)
+        self._wake.set()  # a waiting job may start now
 
-    def _fail_all(self, error: SkuggaError, flights: list[PendingJob]) -> None:
-        for flight in flights:
-            self._land(flight, error)
+    def _fail_all(self, error: SkuggaError, pending_jobs: list[PendingJob]) -> None:
+        for pending in pending_jobs:
+            self._finish(pending, error)
 
 
-def _start_failure(error: SkuggaError) -> SkuggaError:
+def _start_error_of(error: SkuggaError) -> SkuggaError:
     """Return the error for a request when its process cannot be started."""
     return error if isinstance(error, ExhaustedError | WorkerStartError) else GraphicsError(str(error))
 
 
-def _named(job: Job) -> str:
+def _job_title(job: Job) -> str:
     if isinstance(job, DescribedPlanJob):
         return "A plan of such a descriptor"
     asked = " with these settings" if job.request.overrides.asked else ""
     return f"A {type(job).__name__.removesuffix('Job').lower()} of level {job.level.path.stem}{asked}"
 
 
-def _set_aside(job: Job, left_s: float) -> SetAsideError:
-    message = f"{_named(job)} took too long, or ended its render process, several times. Try again later."
-    return SetAsideError(message, retry_after_s(left_s))
+def _circuit_open_error(job: Job, open_s: float) -> CircuitOpenError:
+    message = f"{_job_title(job)} took too long, or ended its render process, several times. Try again later."
+    return CircuitOpenError(message, retry_after_s(open_s))

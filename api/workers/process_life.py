@@ -11,38 +11,38 @@ from pathlib import Path
 NICENESS = 2
 """Niceness of render processes: the service has priority, since it answers from its caches while they draw. See nice(2)."""
 
-LOWEST = 19
+IDLE_NICENESS = 19
 """Niceness of idle work."""
 
-JOIN_S = 5.0
+EXIT_TIMEOUT_S = 5.0
 """Timeout of a killed process's exit."""
 
-END_CHECK_S = 0.005
+EXIT_CHECK_S = 0.005
 """Interval between checks for a killed process's exit."""
 
 STOPPED_STATES = "Tt"
 """States in ``/proc/PID/stat`` of a process that a signal or a tracer has stopped."""
 
 
-def stand_back() -> None:
+def lower_priority() -> None:
     """Lower this process's priority below that of the service."""
     with suppress(OSError, AttributeError):
         os.nice(NICENESS)
 
 
-def give_way() -> None:
+def set_idle_priority() -> None:
     """Give this process the lowest CPU priority, and make it the first to be killed when memory runs out."""
     with suppress(OSError, AttributeError):
-        os.nice(LOWEST)
+        os.nice(IDLE_NICENESS)
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
 async def process_end(process: BaseProcess) -> None:
-    """Wait until a killed process has ended, for at most ``JOIN_S``. Needs no thread, since none may be left."""
-    until_s = asyncio.get_running_loop().time() + JOIN_S
+    """Wait until a killed process has ended, for at most ``EXIT_TIMEOUT_S``. Needs no thread, since none may be left."""
+    until_s = asyncio.get_running_loop().time() + EXIT_TIMEOUT_S
     while process.exitcode is None and asyncio.get_running_loop().time() < until_s:
-        await asyncio.sleep(END_CHECK_S)
+        await asyncio.sleep(EXIT_CHECK_S)
 
 
 def is_stopped(pid: int) -> bool:

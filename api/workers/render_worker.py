@@ -54,7 +54,7 @@ from skugga.api.workers.map_plans import plan_in_service, unprobed_class
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.point_jobs import point_answer, points_answer
 from skugga.api.workers.preparation import import_pvlib, prepare_level
-from skugga.api.workers.process_life import stand_back
+from skugga.api.workers.process_life import lower_priority
 from skugga.api.workers.worker_config import WorkerConfig
 from skugga.api.workers.worker_state import MAX_SCENES, WorkerState, block_view, plan_of_tiles, tiles_view
 from skugga.selector.choices import StandaloneRequest
@@ -82,7 +82,7 @@ from skugga.terrain.compiling.parent_process import end_with_parent
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from skugga.terrain.facts.descriptor import Descriptor
-from skugga.terrain.gbuffer.supersampling import is_bare
+from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import BLOCK_PX, MapView
 from skugga.terrain.gl import device as gl
@@ -105,9 +105,9 @@ def run_job(job: Job, state: WorkerState) -> Result:
     declare_product(product_of(job, scene))
     match job:
         case DescriptorJob():
-            return DescriptorAnswer(describe(scene, *_seen(scene, job.view)).model_dump_json())
+            return DescriptorAnswer(describe(scene, *_view_with_name(scene, job.view)).model_dump_json())
         case PlanJob():
-            plan = plan_in_service(scene, *_seen(scene, job.view), overrides, job.level, state.basis, job.policy)
+            plan = plan_in_service(scene, *_view_with_name(scene, job.view), overrides, job.level, state.basis, job.policy)
             return PlanAnswer(plan.model_dump_json())
         case PointJob():
             return point_answer(job, scene)
@@ -142,13 +142,13 @@ def product_of(job: Job, scene: Scene) -> str:
             return POINTS
         case BlockJob() | MapJob() if job.request.record.when == "days":
             return SUN_HOURS
-        case BlockJob() if job.request.record.needs == VISIBILITY and is_bare(scene):
+        case BlockJob() if job.request.record.needs == VISIBILITY and is_terrain_only(scene):
             return MASKS
         case SnapshotJob() | FrameJob() | FilmCheckJob() if _is_perspective(job, scene):
             return VIEWS
-        case MapJob() | SnapshotJob() | FrameJob() | FilmCheckJob() if is_bare(scene):
+        case MapJob() | SnapshotJob() | FrameJob() | FilmCheckJob() if is_terrain_only(scene):
             return PICTURES
-    return MAPS if is_bare(scene) else MAPS_OF_CASTERS
+    return MAPS if is_terrain_only(scene) else MAPS_OF_CASTERS
 
 
 def _is_perspective(job: SnapshotJob | FrameJob | FilmCheckJob, scene: Scene) -> bool:
@@ -166,7 +166,7 @@ def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
 
 def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
     """Raise ``TooCostlyError`` if a calibrated device is expected to exceed the time limit of a picture."""
-    check_cost(plan, subject, state.most_ms, "SKUGGA_RENDER_TIMEOUT_S")
+    check_cost(plan, subject, state.limit_ms, "SKUGGA_RENDER_TIMEOUT_S")
 
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
@@ -175,14 +175,14 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
         return _tiles_of_array(job, scene, state)
     version = state.basis.version_of(job.level)
     key = job.level, version, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request.picture, product.needs
-    kept = state.blocks.get(*key)
-    is_new = isinstance(kept, Missing)
-    if isinstance(kept, Missing):
+    cached = state.blocks.get(*key)
+    is_new = isinstance(cached, Missing)
+    if isinstance(cached, Missing):
         plan = _checked_plan(job, scene, state)
         picture = draw_picture(scene, block_view(job), product, plan)
-        kept = picture, _block_facts(job, plan, picture.passes, picture.reach, scene, state)
-        state.blocks.put(*key, value=kept)
-    picture, facts = kept
+        cached = picture, _block_facts(job, plan, picture.passes, picture.reach, scene, state)
+        state.blocks.put(*key, value=cached)
+    picture, facts = cached
     start = clock.perf_counter()
     tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles)
     files = {place: body or empty_tile(job.request, job.format, job.tiles) for place, body in tiles.items()}
@@ -232,7 +232,7 @@ def _map(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
     return Snapshot(body=made.body, encode_ms=made.encode_ms, **facts)
 
 
-def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
+def _view_with_name(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
     """Return a view, and the name of the view in its plan."""
     return (tiles_view(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
@@ -253,27 +253,27 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
     end_with_parent()
     if pipe.poll(0):  # the pipe is closed, since nothing is sent yet: the service ended before this process watched it
         return
-    stand_back()
+    lower_priority()
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
     set_process_number(config.number)
     from skugga.api.workers.warm_up import warm_up
 
-    def say(task: str, done: int = 0, total: int = 0) -> None:
+    def report(task: str, done: int = 0, total: int = 0) -> None:
         pipe.send(Preparing(task, done, total))
 
     compiled: list[str] = []
 
     def compile_products(products: Sequence[str]) -> None:
         compiled.extend(products)
-        say(f"compiling loops for {products[0]}")
-        compile_ahead(products, CORES, say)
+        report(f"compiling loops for {products[0]}")
+        compile_ahead(products, CORES, report)
 
     try:
         with missing_loop_compiler(compile_products):
-            renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
+            renderer = warm_up(config.expect_renderer, config.needs_opengl, report)
             if problem := loop_store().problem:
-                say(problem)
-            state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
+                report(problem)
+            state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.limit_ms)
             if compiled:  # a first start lacks more loops; later starts count them in idle time
                 count_missing_loops(state)
             version, egl_device = gl.renderer_and_version()[1], gl.egl_device_name()
@@ -309,13 +309,13 @@ def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Call
         if isinstance(job, PlanBasis):
             state.basis = job
             continue
-        answer = _answer(job, state)
+        answer = _try_job(job, state)
         pipe.send(answer)
         if isinstance(answer, Failure) and answer.fatal:
             return
 
 
-def _answer(job: Job, state: WorkerState) -> Answer:
+def _try_job(job: Job, state: WorkerState) -> Answer:
     try:
         return run_job(job, state)
     except SkuggaError as error:

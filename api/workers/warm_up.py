@@ -30,10 +30,10 @@ WARM_UP_CELL_M, CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
 ZOOM = 12
 """At the equator a pixel is 38 m: the plain is 50 pixels wide, the wall's shadow 520 m long at 30 degrees."""
 
-LOOKED_AT_PX = 64
+TEST_PICTURE_PX = 64
 """Side of the test picture around the wall's middle. It shows the whole plain."""
 
-BESIDE_M = 240.0
+TEST_DISTANCE_M = 240.0
 """Distance of the tested pixels from the wall: one lies inside the shadow, the other on the sunny side."""
 
 log = logging.getLogger("skugga.worker")
@@ -75,10 +75,10 @@ def _visibility_beside_wall(proven: str) -> tuple[float, float]:
             dataset.write(heights, 1)
         scene = _scene(memory.name, proven)
         grid, place = _grid_and_middle(scene, ZOOM)
-        view = _round(grid, place)
+        view = _view_around(grid, place)
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
         scene.close()
-    away = BESIDE_M / grid.step
+    away = TEST_DISTANCE_M / grid.step
     row, col = place[0] - view.row0, place[1] - view.col0
     row, cols = int(row), (int(np.rint(col - away)), int(np.rint(col + away)))
     return float(frame.visibility[row, cols[0]]), float(frame.visibility[row, cols[1]])
@@ -103,14 +103,14 @@ def _grid_and_middle(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, float]
     return grid, ((grid.y0 - y) / grid.step, (x - grid.x0) / grid.step)
 
 
-def _round(grid: Grid, place: tuple[float, float]) -> MapView:
+def _view_around(grid: Grid, place: tuple[float, float]) -> MapView:
     """Return a view of the pixels around a position, shifted to stay within its block, since blocks are drawn separately."""
     row, col = (
-        float(np.clip(int(index) - LOOKED_AT_PX // 2, first, first + BLOCK_PX - LOOKED_AT_PX))
+        float(np.clip(int(index) - TEST_PICTURE_PX // 2, first, first + BLOCK_PX - TEST_PICTURE_PX))
         for index in place
         for first in [index // BLOCK_PX * BLOCK_PX]
     )
-    return MapView(grid, row, col, 1.0, 1.0, LOOKED_AT_PX, LOOKED_AT_PX)
+    return MapView(grid, row, col, 1.0, 1.0, TEST_PICTURE_PX, TEST_PICTURE_PX)
 
 
 def _mercator_m(lon_deg: float, lat_deg: float) -> tuple[float, float]:

@@ -24,7 +24,7 @@ class WorkerConfig:
         Text that the renderer's name must contain.
     needs_opengl : bool
         Whether the process must not start without OpenGL.
-    most_ms : float or None
+    limit_ms : float or None
         Limit of a picture's expected time in milliseconds; the process refuses costlier pictures.
     basis : PlanBasis or None
         Inputs of plans; ``None`` uses the calibration in the user's cache until the process receives a basis.
@@ -35,7 +35,7 @@ class WorkerConfig:
     gl_threads: int
     expect_renderer: str | None = None
     needs_opengl: bool = False
-    most_ms: float | None = None
+    limit_ms: float | None = None
     basis: PlanBasis | None = None
     number: int = 0
 
@@ -45,5 +45,5 @@ def first_config(settings: Settings) -> WorkerConfig:
     return WorkerConfig(
         gl_threads=max(usable_cores() // settings.workers, 1),
         expect_renderer=settings.expect_renderer,
-        most_ms=settings.render_timeout_s * 1000.0,
+        limit_ms=settings.render_timeout_s * 1000.0,
     )

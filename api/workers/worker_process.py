@@ -9,18 +9,18 @@ from concurrent.futures import Executor
 from typing import Any, TypeVar
 
 from skugga.api.errors import ExhaustedError, WorkerCrashError, WorkerStartError
-from skugga.api.exhaustion import exhausted_error
+from skugga.api.resource_exhaustion import exhausted_error
 from skugga.api.workers.child_process import ChildProcess
 from skugga.api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
+from skugga.api.workers.piped_process import Spawned
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.process_life import is_stopped
-from skugga.api.workers.spawned import Spawned
 from skugga.terrain.errors import RenderTimeoutError
 
-MOST_SAID = 300
+MAX_LOGGED_CHARACTERS = 300
 """Maximum characters of a job in the log, since descriptors are long."""
 
-LOOK_EVERY_S = 1.0
+STOPPED_CHECK_S = 1.0
 """Interval between checks whether a working process was stopped."""
 
 T = TypeVar("T")
@@ -48,9 +48,9 @@ class WorkerProcess:
         Inputs of its plans.
     first_blocks : tuple
         Blocks that it prepares for while idle, once they were sent.
-    dead : bool
+    has_ended : bool
         Whether the process ended by itself.
-    prepared : bool
+    has_prepared : bool
         Whether it prepared for its last job.
     is_preparing : bool
         Whether it prepares now.
@@ -69,8 +69,8 @@ class WorkerProcess:
         self._watched: int | None = None
         self.basis = spawned.config.basis
         self.first_blocks: tuple[BlockJob, ...] = ()
-        self.dead = False
-        self.prepared = False
+        self.has_ended = False
+        self.has_prepared = False
         self.is_preparing = False
 
     @property
@@ -108,11 +108,11 @@ class WorkerProcess:
         Raises ``WorkerCrashError`` or ``RenderTimeoutError``, after which the process must be ended, and ``ExhaustedError`` if
         no thread is available.
         """
-        told, self.basis = self.basis, basis or self.basis
-        self.prepared = False
+        previous_basis, self.basis = self.basis, basis or self.basis
+        self.has_prepared = False
 
         def send_and_receive() -> Answer:
-            if self.basis is not told:
+            if self.basis is not previous_basis:
                 self._pipe.send(self.basis)
             self._pipe.send(job)  # in a thread: sending a long job blocks while the process does not read
             return self._pipe.recv()
@@ -124,7 +124,9 @@ class WorkerProcess:
         except TimeoutError:
             raise RenderTimeoutError(f"The picture took longer than the limit of {timeout_s:g} s.") from None
         except Exception as error:  # the pipe broke, or delivered unreadable data
-            raise WorkerCrashError(f"render process {self.pid} ended during {repr(job)[:MOST_SAID]}: {error!r}") from None
+            raise WorkerCrashError(
+                f"render process {self.pid} ended during {repr(job)[:MAX_LOGGED_CHARACTERS]}: {error!r}"
+            ) from None
 
     async def end(self) -> None:
         """Kill the process. No state is lost."""
@@ -132,26 +134,26 @@ class WorkerProcess:
         await self._child.end()
 
     async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
-        """Return the answer that follows all progress messages; each message may take ``timeout_s``. Raises as ``_heard``."""
-        heard = await self._heard(function, timeout_s)
+        """Return the answer that follows all progress messages; each message may take ``timeout_s``. Raises as ``_receive``."""
+        heard = await self._receive(function, timeout_s)
         try:
             while isinstance(heard, Preparing):
-                self.prepared = self.is_preparing = True
+                self.has_prepared = self.is_preparing = True
                 if heard.task != self._task:
                     log.info("render process %s: %s", self.pid, heard.task)
                     self._task = heard.task
                 self._on_preparing(heard)
-                heard = await self._heard(self._pipe.recv, timeout_s)
+                heard = await self._receive(self._pipe.recv, timeout_s)
         finally:
             self.is_preparing = False
         return heard
 
-    async def _heard(self, function: Callable[[], T], timeout_s: float) -> T:
+    async def _receive(self, function: Callable[[], T], timeout_s: float) -> T:
         """Return the next message from the pipe. Raises ``TimeoutError``, and ``EOFError`` if the process was stopped."""
         loop = asyncio.get_running_loop()
         until, answer = loop.time() + timeout_s, self._child.in_new_thread(function)
         while True:
-            done, _ = await asyncio.wait({answer}, timeout=max(min(LOOK_EVERY_S, until - loop.time()), 0.0))
+            done, _ = await asyncio.wait({answer}, timeout=max(min(STOPPED_CHECK_S, until - loop.time()), 0.0))
             if done:
                 return answer.result()
             if self.pid is not None and is_stopped(self.pid):
@@ -161,7 +163,7 @@ class WorkerProcess:
 
     def _note_death(self) -> None:
         self._unwatch()
-        self.dead = True
+        self.has_ended = True
         self._on_death()
 
     def _unwatch(self) -> None:

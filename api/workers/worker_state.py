@@ -87,7 +87,7 @@ class TilePlanCache:
         return plan
 
 
-DrawnAndFacts = tuple[Picture, dict[str, Any]]
+DrawnBlock = tuple[Picture, dict[str, Any]]
 """A block and facts about its drawing."""
 
 
@@ -103,7 +103,7 @@ class WorkerState:
         Name of the renderer.
     basis : PlanBasis
         Inputs of plans.
-    most_ms : float or None
+    limit_ms : float or None
         Limit of a picture's expected time in milliseconds.
     missing_loops : int
         Number of recorded loops that are not stored.
@@ -113,11 +113,11 @@ class WorkerState:
 
     renderer: str
     basis: PlanBasis = field(default_factory=PlanBasis)
-    most_ms: float | None = None
+    limit_ms: float | None = None
     missing_loops: int = 0
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
-    blocks: Cache[DrawnAndFacts] = field(default_factory=lambda: Cache("skugga.api.workers.blocks", "process", BLOCKS_BYTES))
+    blocks: Cache[DrawnBlock] = field(default_factory=lambda: Cache("skugga.api.workers.blocks", "process", BLOCKS_BYTES))
 
     @property
     def device(self) -> DeviceProfile | None:

@@ -214,8 +214,8 @@ RASTER_TITLES = {
 
 
 def _notes(found: PeerComparison) -> list[str]:
-    there = {tool.name for tool in found.tools}
-    notes = [note for name, note in NOTES if name in there]
+    valid = {tool.name for tool in found.tools}
+    notes = [note for name, note in NOTES if name in valid]
     if slower := [tool.name for tool in found.casting if _low_sun(found, tool) > LOW_SUN]:
         notes.append(
             f"The lower the sun, the longer the shadows: on the largest raster computing takes more than {LOW_SUN:g} times as long "

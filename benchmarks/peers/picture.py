@@ -18,7 +18,7 @@ from benchmarks.peers.figures import PeerComparison, TestRaster, ToolStanding, c
 OURS, THEIRS, INK, SETTING_GRID = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
 """Blue and vermilion of Okabe and Ito, which all eyes tell apart; the shapes of the points differ, too."""
 
-LEAST_PERCENT = 1e-6
+MIN_PERCENT = 1e-6
 """Where points without any wrong cell are drawn, on axes that know no zero."""
 
 ROUND = [(8, 0), (-8, 0), (0, 8), (0, -8), (6, 6), (-6, 6), (6, -6), (-6, -6)]
@@ -52,7 +52,7 @@ def _places(found: PeerComparison, terrain: TestRaster) -> list[ToolStanding]:
 
 
 def _at(place: ToolStanding) -> tuple[float, float]:
-    return max(place.seconds, 1e-3), max(100.0 * place.wrong, LEAST_PERCENT)
+    return max(place.seconds, 1e-3), max(100.0 * place.wrong, MIN_PERCENT)
 
 
 def _panel(axes: Axes, found: PeerComparison, terrain: TestRaster) -> None:
@@ -69,9 +69,7 @@ def _panel(axes: Axes, found: PeerComparison, terrain: TestRaster) -> None:
         if len(positions):
             axes.plot(*positions.T, "D", color=THEIRS, markersize=7, markerfacecolor="white" if bounded else THEIRS, label=label)
     axes.margins(x=0.12, y=0.12)
-    axes.yaxis.set_major_formatter(
-        lambda value, _: "none" if value < 1.5 * LEAST_PERCENT else f"{value:.6f}".rstrip("0").rstrip(".")
-    )
+    axes.yaxis.set_major_formatter(lambda value, _: "none" if value < 1.5 * MIN_PERCENT else f"{value:.6f}".rstrip("0").rstrip("."))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
     axes.legend(loc="lower right", frameon=False)

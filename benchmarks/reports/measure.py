@@ -17,7 +17,7 @@ from skugga.selector.measure.compare import Comparison, compare
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.level.parts import SunSpec
 
-MOST_BYTES = 1_000_000
+MAX_BYTES = 1_000_000
 """Of a published report."""
 
 Figures = dict[str, Any]
@@ -38,7 +38,7 @@ def measured(scene: ReportScene, data: Path, report: Path, plot: Path, time_limi
     took_s = time.perf_counter() - start
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "report.html"
-        write_page(opened, comparison, page, scene.view, scene.command, MOST_BYTES)
+        write_page(opened, comparison, page, scene.view, scene.command, MAX_BYTES)
         publish(page.read_text(encoding="utf-8"), report)
     write_plot(opened, comparison, plot, scene.view)
     return record(scene, comparison, about(opened, comparison, scene.view)) | {
@@ -49,8 +49,8 @@ def measured(scene: ReportScene, data: Path, report: Path, plot: Path, time_limi
 def publish(text: str, report: Path) -> None:
     """Write a report, if it is small enough. Raises ``RuntimeError``."""
     size = len(text.encode())
-    if size >= MOST_BYTES:
-        raise RuntimeError(f"{report}: {size} bytes; a published report has less than {MOST_BYTES}")
+    if size >= MAX_BYTES:
+        raise RuntimeError(f"{report}: {size} bytes; a published report has less than {MAX_BYTES}")
     write_atomically(report, text)
 
 

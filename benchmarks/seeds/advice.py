@@ -21,10 +21,10 @@ from benchmarks.seeds.verdicts import (
     THESIS,
     all_of,
     at_most,
-    because,
     listed_by_scene,
     named,
     percent,
+    reason,
     whole_percent,
 )
 from benchmarks.seeds.views import bundled, with_truth
@@ -116,7 +116,7 @@ def section(figures: Figures) -> Section:
                 f"{listed_by_scene(edges['close'])} (held if "
                 "nowhere larger from afar)",
                 afar,
-                because(
+                reason(
                     afar,
                     "the same texel is fewer pixels from afar",
                     "what is off is counted in pixels; where casters are thinner than texels whole bars go missing, from afar as "
@@ -128,7 +128,7 @@ def section(figures: Figures) -> Section:
                 "PSM for large outdoor scenes under the sun",
                 f"`wrong_cast` of PSM, of SM's: {listed_by_scene(outdoors)} (held if under 1 in both)",
                 outdoor,
-                because(
+                reason(
                     outdoor,
                     "one map for kilometres gives what is near a handful of texels; PSM gives them where the eye is",
                     f"texels near the eye do not help where shadows are fine far away: {no_better}",
@@ -141,7 +141,7 @@ def section(figures: Figures) -> Section:
                 f"worse in {len(worse)} of {len(gained) + len(outdoors)} views (held from {MANY} on); `wrong_cast` of PSM, of "
                 f"SM's: {listed_by_scene(gained)}, and those above",
                 often_worse,
-                because(
+                reason(
                     often_worse,
                     "its matrix does not suit these views",
                     "the matrix is chosen among several by the texels that it gives to what is seen, a uniform one among them, "
@@ -154,7 +154,7 @@ def section(figures: Figures) -> Section:
                 "SV where polygons are few: Street is its best scene",
                 f"time of SV, of SM's: {listed_by_scene(few)} (held if least in Street under either light)",
                 few_pay,
-                because(few_pay, "few faces to draw", "not polygons but how often volumes cover a pixel is what SV costs"),
+                reason(few_pay, "few faces to draw", "not polygons but how often volumes cover a pixel is what SV costs"),
             ),
             Claim(
                 f"{THESIS}, 8.1 and 8.2",
@@ -162,7 +162,7 @@ def section(figures: Figures) -> Section:
                 f"time with volumes kept, of that with all redrawn: {listed_by_scene(kept)} (held if at most "
                 f"{CONSIDERABLY} everywhere)",
                 still,
-                because(
+                reason(
                     still,
                     "making the volumes was most of it",
                     f"making the volumes is {whole_percent(min(made.values()))} to {whole_percent(max(made.values()))} of the "
@@ -176,14 +176,14 @@ def section(figures: Figures) -> Section:
                 f"its largest `wrong_cast` in {sum(map(len, paths.values()))} views: {percent(worst)} (held if at most "
                 f"{percent(RIGHT)})",
                 right,
-                because(right, "edges are exact, and no texel is involved", "what is wrong lies within rounding of an edge"),
+                reason(right, "edges are exact, and no texel is involved", "what is wrong lies within rounding of an edge"),
             ),
             Claim(
                 f"{THESIS}, 8.2",
                 "the hybrid where shadows are complex and the camera comes close: BoxGrid",
                 f"time of the hybrid, of SV's: {listed_by_scene(close)} (held if the median is under 1 and none over {SAME})",
                 complex_,
-                because(
+                reason(
                     complex_,
                     "what it leaves out would be filled many times over",
                     "seen so close, most of what covers the picture is culled by tiles for SV too, and map and mask are not for "
@@ -195,7 +195,7 @@ def section(figures: Figures) -> Section:
                 "the hybrid where light comes through a complex ceiling: Room",
                 f"time of the hybrid, of SV's: {listed_by_scene(ceiling)} (held if under 1 under either light)",
                 room,
-                because(
+                reason(
                     room,
                     "volumes fill the room",
                     "the lattice's fine shadows leave "
@@ -211,7 +211,7 @@ def section(figures: Figures) -> Section:
                 f"also right (at most {percent(RIGHT)} of the cast shadow wrong) in {named(best)} (held unless one is both "
                 "everywhere)",
                 not definite,
-                because(
+                reason(
                     not definite,
                     "speed and accuracy are bought from one another: hence the choice by figures",
                     "one is both fastest and right everywhere",

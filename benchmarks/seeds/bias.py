@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
-from benchmarks.seeds.verdicts import REPORT, all_of, at_least, at_most, because, factor, listed_by_scene, opposite, percent
+from benchmarks.seeds.verdicts import REPORT, all_of, at_least, at_most, factor, listed_by_scene, opposite, percent, reason
 from benchmarks.seeds.views import Asked, ViewWithTruth, bundled, one_map, settings_of, view_with_truth
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import sun_maps
@@ -156,7 +156,7 @@ def section(figures: Figures) -> Section:
             f"false shadow without bias: {shares(acne)}; with the slope's: {shares(of(SLOPE, 'false_shadow'))} (held if at least "
             f"{ACNE:g} times that)",
             shows_acne,
-            because(
+            reason(
                 shows_acne,
                 "a texel's depth is that of its centre, which lies nearer to the sun than about half of the points in the texel",
                 "something else keeps surfaces from shading themselves",
@@ -168,7 +168,7 @@ def section(figures: Figures) -> Section:
             f"missed shadow at {SCALES[-1]:g} times the slope's bias: {shares(panning)}; at the slope's own: "
             f"{shares(of(SLOPE, 'missed_shadow'))} (held if at least {TWICE:g} times that)",
             shows_panning,
-            because(
+            reason(
                 shows_panning,
                 "what lies less behind its caster than the bias counts as lit",
                 "few points lie so little behind their casters",
@@ -182,7 +182,7 @@ def section(figures: Figures) -> Section:
             none_fits,
             f"what is needed goes with the texel, as a share of the range of depths {percent(min(texels))} to "
             f"{percent(max(texels))} here"
-            + because(
+            + reason(
                 none_fits,
                 "",
                 f", but too much costs little: in each case the constants within {ALIKE:g} times of its best span a factor of "
@@ -197,7 +197,7 @@ def section(figures: Figures) -> Section:
             f"constant {factor(regret['constant'])} times (held if less); each with its own best, the mean wrong share is "
             f"{percent(best['slope'])} and {percent(best['constant'])}",
             slope_helps,
-            because(
+            reason(
                 slope_helps,
                 "a plane's depth changes by the tangent over a texel, so one b is right on all slopes of a scene; the texel is "
                 "still in it",
@@ -211,7 +211,7 @@ def section(figures: Figures) -> Section:
             f"mean wrong share, each with its own best b: {percent(best['clamped'])} with the bound, {percent(best['slope'])} "
             "without (held if less)",
             clamp_helps,
-            because(
+            reason(
                 clamp_helps,
                 "without a bound grazing surfaces are moved past all that touches them",
                 "the bound belongs to the report's own maps: where texels are larger it cuts off bias that is needed, and acne "
@@ -225,7 +225,7 @@ def section(figures: Figures) -> Section:
             f"wrong of the cast shadow, front faces culled and no bias: {shares(culled)}; with the slope's bias and no culling: "
             f"{shares(biased)}; neither: {shares(bare)} (held if at most {ALIKE:g} times the second)",
             spares,
-            because(
+            reason(
                 spares,
                 "what is lit lies a body's thickness before what the map holds",
                 "bodies touch and pass into one another: where a lit face lies on a back face or just behind one, the two fight",
@@ -237,7 +237,7 @@ def section(figures: Figures) -> Section:
             f"cast shadow that is missed, front faces culled and no bias: {shares(missed[0])}; with the slope's bias: "
             f"{shares(missed[1])} (held if at most {ALIKE:g} times that)",
             no_panning,
-            because(
+            reason(
                 no_panning,
                 f"nothing is moved, so shadow begins where the back face does: {apart}",
                 f"{apart}. Nothing is moved, so on the ground shadow begins where it should; but bodies that touch or pass into "

@@ -11,7 +11,7 @@ import trimesh
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.spatialace import ENOUGH
-from benchmarks.seeds.verdicts import SPATIALACE, at_most, because, percent, whole_percent
+from benchmarks.seeds.verdicts import SPATIALACE, at_most, percent, reason, whole_percent
 from benchmarks.seeds.views import ViewWithTruth, one_map, scene_of, settings_of, shallow, view_with_truth
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import sun_maps
@@ -70,8 +70,8 @@ def _by_bits(look: ViewWithTruth, bias: str, altitude_deg: float) -> dict[str, A
     """Errors by bits; how many pixels change their class against 32 bits, as a share of the cast shadow, and how many may."""
     plans = {bits: look.plan(one_map(MAP, bias=bias, depth_bits=bits)) for bits in BITS}
     dark = {bits: np.nan_to_num(look.visibility(plan), nan=1.0) < 0.5 for bits, plan in plans.items()}
-    shaded = ~look.truth.lit & look.truth.there & ~look.truth.attached
-    found: dict[str, Any] = {"shadow": float(shaded.sum() / look.truth.there.sum())}
+    shaded = ~look.truth.lit & look.truth.valid & ~look.truth.attached
+    found: dict[str, Any] = {"shadow": float(shaded.sum() / look.truth.valid.sum())}
     for bits, plan in plans.items():
         settings = settings_of(look, plan)
         assert isinstance(settings, ShadowMapSettings)
@@ -79,9 +79,9 @@ def _by_bits(look: ViewWithTruth, bias: str, altitude_deg: float) -> dict[str, A
         step_m = drawn.uniforms["window_m"][2] * drawn.uniforms["depth_step"]
         off_m = STEPS_OFF[bias] * step_m
         shift_px = off_m * np.cos(np.radians(altitude_deg)) / _pixel_m(look)
-        edge = boundary(shaded, look.truth.there)
+        edge = boundary(shaded, look.truth.valid)
         found[str(bits)] = {
-            "wrong_cast": look.errors(np.where(look.buffer.there, 1.0 - dark[bits], np.nan))["wrong_cast"],
+            "wrong_cast": look.errors(np.where(look.buffer.valid, 1.0 - dark[bits], np.nan))["wrong_cast"],
             "step_m": step_m, "texels": step_m / max(drawn.uniforms["texel_m"]),
             "shift_px": float(np.median(shift_px[edge])), "bound": float(2.0**0.5 * shift_px[edge].sum() / shaded.sum()),
             "near": float((shaded & shallow(look, look.buffer, off_m)).sum() / shaded.sum()),
@@ -94,7 +94,7 @@ def _by_bits(look: ViewWithTruth, bias: str, altitude_deg: float) -> dict[str, A
 def _pixel_m(look: ViewWithTruth) -> np.ndarray:
     """A pixel's side (rows, cols) on what faces the viewer, metres."""
     if isinstance(look.view, MapView):
-        return np.full(look.buffer.there.shape, look.descriptor.pixel_m)
+        return np.full(look.buffer.valid.shape, look.descriptor.pixel_m)
     return look.ahead_m * look.view.pixel
 
 
@@ -132,7 +132,7 @@ def section(figures: Figures) -> Section:
             f"at 16 bits at most {percent(changed['16', PLANE])} of the cast shadow changes with `{PLANE}`, "
             f"{percent(changed['16', OFFSET])} with `{OFFSET}`; over the bound: {len(over)} of {len(fewer)} cases (held if none)",
             bounded,
-            because(
+            reason(
                 bounded,
                 "of the edge only the part where shadow begins can move, not the one that a far crest throws, and walls and "
                 f"slopes are thicker than a step; with `{OFFSET}` {whole_percent(lit['16'])} of what changes at 16 bits are lit "
@@ -150,7 +150,7 @@ def section(figures: Figures) -> Section:
             f"{percent(ENOUGH)})",
             suffices,
             f"a step of 16 bits is up to {in_texels:.2f} of a texel"
-            + because(
+            + reason(
                 suffices,
                 f", since a map of {MAP} texels has fewer of them than 65,535: texels are what an edge is off by. Most changes in "
                 f"{dearest[0]} with `{dearest[1]}`, where 16 bits are {'worse' if _cost(cases[dearest]) > 0.0 else 'better'}"
@@ -168,7 +168,7 @@ def section(figures: Figures) -> Section:
             f"at most {percent(changed['24', PLANE])} of the cast shadow changes with `{PLANE}`, {percent(changed['24', OFFSET])} "
             f"with `{OFFSET}` (held if at most {percent(NO_FINER)} with either)",
             no_finer,
-            because(
+            reason(
                 no_finer,
                 "a float's steps near 1 are those of 24 bits, and both are far below what float32 makes of positions",
                 acne

@@ -75,8 +75,8 @@ def _beside(tables: Tables, others: Mapping[str, Tables]) -> Tables:
             if _heads(rows_there) != _heads(rows):
                 apart.append((f"{title}: {device}", rows_there))
                 continue
-            for row, there in zip(joined, rows_there, strict=True):
-                for key, value in there.items():
+            for row, valid in zip(joined, rows_there, strict=True):
+                for key, value in valid.items():
                     row[key].append(value)
         cells = [{key: values[0] if len({*values}) == 1 else " / ".join(values) for key, values in row.items()} for row in joined]
         found += [(title, cells), *apart]

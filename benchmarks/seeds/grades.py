@@ -28,9 +28,9 @@ from benchmarks.seeds.verdicts import (
     THESIS,
     at_least,
     at_most,
-    because,
     opposite,
     percent,
+    reason,
     whole_percent,
 )
 from benchmarks.seeds.views import ViewWithTruth, bundled, with_truth
@@ -198,7 +198,7 @@ def section(figures: Figures) -> Section:
         verdict = at_least(rho, AGREES)
         turned = {pair.split(" before ")[1] for pairs in against.values() for pair in pairs}
         reasons = "; ".join(WHYS[column][key] for key in SHORT.values() if key in turned)
-        why = because(
+        why = reason(
             verdict,
             BY_AND_LARGE,
             reasons or "the figures differ by too little to be ranked",
@@ -229,14 +229,14 @@ def section(figures: Figures) -> Section:
             "SV and the hybrid are high in quality, SM and PSM low",
             f"mean `wrong_cast`: {per} (held if both of the former are less than both of the latter)",
             apart,
-            because(apart, "volumes decide at edges, where maps are wrong", "what volumes decide is no better than what maps do"),
+            reason(apart, "volumes decide at edges, where maps are wrong", "what volumes decide is no better than what maps do"),
         ),
         Claim(
             f"{THESIS}, 7.4",
             "PSM is the least robust of the four",
             f"mean of interior error and change: {moved} (held if PSM's is the largest)",
             least_robust,
-            because(
+            reason(
                 least_robust,
                 "its map is another one for every place of the camera, and its texels far away are coarse",
                 f"{SHORT[shaky]} is: its texels stay coarse wherever the camera is, and what they get wrong is more to begin with",
@@ -247,7 +247,7 @@ def section(figures: Figures) -> Section:
             "the hybrid loses thin casters (Water Tower) and is worse than SV there",
             f"`wrong_cast` of the hybrid less that of SV: {percent(thin)} (held if at least {percent(RIGHT)})",
             loses,
-            because(
+            reason(
                 loses,
                 "its map misses what is thinner than a texel",
                 "the mask is conservative: what its map does not prove is left to volumes, however thin (`mask: original` misses "
@@ -260,7 +260,7 @@ def section(figures: Figures) -> Section:
             f"`wrong_cast` orders the pictures as the author's eye does with a rank correlation of {quality:.2f} (held if under "
             f"{AGREES})",
             untestable,
-            because(
+            reason(
                 untestable,
                 "the figure does not say what an eye says",
                 "truth can be traced now: what is right is known for each pixel",

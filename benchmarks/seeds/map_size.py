@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import CaptionedPicture, CropBox, drawn, write_sheet
-from benchmarks.seeds.verdicts import SAME, THESIS, all_of, at_least, at_most, because, percent, whole_percent
+from benchmarks.seeds.verdicts import SAME, THESIS, all_of, at_least, at_most, percent, reason, whole_percent
 from benchmarks.seeds.views import Variant, ViewWithTruth, draw_variant, level_of, scene_of, view_with_truth
 from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
 from skugga.shadows.truth.metrics import boundary
@@ -117,7 +117,7 @@ def section(figures: Figures) -> Section:
             f"where {displaced} (held if each size is better than the one before, and `edge_p95` at most "
             f"{SHARP_EDGE_PX:g} px there)",
             nice,
-            because(
+            reason(
                 nice,
                 f"a texel covers {fine['texel_px']:.2f} px at {FINE}: an edge can hardly leave its pixel",
                 f"a texel still covers {fine['texel_px']:.2f} px at {FINE}"
@@ -132,7 +132,7 @@ def section(figures: Figures) -> Section:
             f"under {least_deg:.1f}°; `edge_p95` {fine_wide['edge_p95']:.1f} px (held if worse at every size, and over "
             f"{SHARP_EDGE_PX:g} px)",
             jagged,
-            because(
+            reason(
                 jagged,
                 f"texels grow with the tangent of the cut-off: they are {fine_wide['texel_px'] / fine['texel_px']:.1f} times as "
                 f"large, {fine_wide['texel_px']:.1f} px at {FINE}",
@@ -145,7 +145,7 @@ def section(figures: Figures) -> Section:
             f"where a texel is larger than a pixel ({len(predicted)} rows), the mean displacement is {min(ratios):.2f} to "
             f"{max(ratios):.2f} of the predicted one (held if within a factor of {PREDICTED_WITHIN})",
             predicts,
-            because(
+            reason(
                 predicts,
                 "a point is taken for its texel's centre, which lies up to half a texel off, evenly: a quarter in the mean",
                 "a quarter of a texel is the mean of one straight edge that runs along texels: bars thinner than a texel and "

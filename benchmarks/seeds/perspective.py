@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import CaptionedPicture, CropBox, write_sheet, wrong_in
-from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, because, factor, percent
+from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, factor, percent, reason
 from benchmarks.seeds.views import DrawnVariant, Variant, ViewWithTruth, draw_variant, level_of, scene_of, view_with_truth
 from skugga.shadows.maps import perspective_shadow_map, post_perspective
 from skugga.shadows.maps.post_perspective import PostPerspective
@@ -124,7 +124,7 @@ def thirds(look: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
     """Wrong pixels in the nearest and in the farthest third of what is truly in cast shadow, as shares of that third."""
     truth, ahead_m = look.truth, look.ahead_m
     cast = truth.decidable & ~truth.lit & look.receivers
-    wrong = truth.decidable & (dark == truth.lit) & look.buffer.there
+    wrong = truth.decidable & (dark == truth.lit) & look.buffer.valid
     first_m, last_m = np.quantile(ahead_m[cast], [1 / 3, 2 / 3])
     parts = {"near": ahead_m <= first_m, "far": ahead_m > last_m}
     return {name: float((wrong & part).sum() / max(int((cast & part).sum()), 1)) for name, part in parts.items()}
@@ -233,7 +233,7 @@ def section_light_direction(figures: Figures) -> Section:
             f"ahead (held if within a factor of {EQUAL}), {factor(front[NEAR])} under one {LIGHTS[NEAR][1]:.0f} m ahead, "
             f"{factor(front[SUN_FRONT])} under the sun",
             equal,
-            because(
+            reason(
                 equal,
                 "the two perspectives cancel",
                 "a spot as far away as in the bundled level sees near and far objects at much the same distance, so there is "
@@ -247,7 +247,7 @@ def section_light_direction(figures: Figures) -> Section:
             f"{min(off_px.values()):.2f} to {max(off_px.values()):.2f} px; wrong with perspective over without: {factor(at_eye)} "
             f"(held if off by the least, and perspective lowers errors by at most a factor of {EQUAL})",
             miner,
-            because(
+            reason(
                 miner,
                 "lamp and eye see distances alike, so texels are as even in the picture as pixels are; what shadow is seen at "
                 "all lies along outlines, so that few pixels are wrong, though a large share of it",
@@ -261,7 +261,7 @@ def section_light_direction(figures: Figures) -> Section:
             f"{factor(gain[RIGHT])} under the spot, and by {factor(gain[WIDE])} under that spot opened to "
             f"{LIGHTS[WIDE][3]['cutoff']:.0f}° (held if by most under the sun)",
             sun_better,
-            because(
+            reason(
                 sun_better,
                 "even where a spot lights as much ground, its rays spread against the camera's perspective",
                 "what counts is how far the light reaches from near to far in what is seen: under the sun up to "
@@ -314,7 +314,7 @@ def section_bad_case(figures: Figures) -> Section:
             f"in {sum(ratio > MUCH_WORSE for ratio in times_uniform(OURS))} of {len(nearer)} such places over {MUCH_WORSE:g} "
             f"times the errors of the uniform map; at worst {factor(worst[OURS])} times (held if over {MUCH_WORSE:g} anywhere)",
             bad,
-            because(
+            reason(
                 bad,
                 "the slide-back with the smallest texels in the mean has large ones where the shadows lie",
                 f"a uniform map, fitted to what is seen, is among those that are chosen from, and is taken in {fallen_back} of "
@@ -328,7 +328,7 @@ def section_bad_case(figures: Figures) -> Section:
             f"uniform map; the same receivers without perspective up to {factor(worst[FITTED])} times (held if the former is "
             f"over, the latter at most {MUCH_WORSE:g})",
             stretched,
-            because(
+            reason(
                 stretched,
                 "with all else alike, taking the perspective out takes the errors away",
                 "in these places the fit to what is seen makes up for the stretching",

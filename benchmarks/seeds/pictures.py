@@ -17,7 +17,7 @@ from skugga.terrain.cache import clear_caches
 from skugga.terrain.geo.camera import PerspectiveView
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
-MOST_KB = 200
+MAX_KB = 200
 
 IN_SHADOW = 0.45
 """Share of its light that a pixel in shadow keeps in pictures of errors."""
@@ -82,4 +82,4 @@ def write_sheet(name: str, cells: Sequence[CaptionedPicture], columns: int) -> N
         x, y = GAP_PX + number % columns * step_x, GAP_PX + number // columns * step_y
         page.paste(cell.picture, (x, y))
         draw.text((x, y + height + TEXT_PX), cell.text, INK, font, anchor="lm")
-    (IMAGES / name).write_bytes(sheet_bytes(page, ".webp", 1000 * MOST_KB))
+    (IMAGES / name).write_bytes(sheet_bytes(page, ".webp", 1000 * MAX_KB))

@@ -17,10 +17,10 @@ from benchmarks.seeds.verdicts import (
     any_of,
     at_least,
     at_most,
-    because,
     factor,
     listed_by_scene,
     percent,
+    reason,
     titled,
     up_to,
 )
@@ -89,14 +89,14 @@ def _volumes_of(level: str) -> dict[str, float]:
     start = time.perf_counter()
     neighbours_by_search(shared.ends[shared.of_triangle])
     search_ms = 1000.0 * (time.perf_counter() - start)
-    there, first = look.buffer.there.sum(), counts["auto"][0]
+    valid, first = look.buffer.valid.sum(), counts["auto"][0]
     return {
         **{f"{name}_ms": float(np.median([ms for ms, _ in runs])) for name, runs in interleaved_times(tasks, REPEATS).items()},
         "search_ms": search_ms,
         "triangles": len(triangles), "casting": int((turns != 0).sum()),
         "sides": sum(each.first_cap for each in silhouettes), "sides_polygons": sum(each.first_cap for each in polygons),
         **{f"faces_{name}": faces for name, (_, faces) in counts.items()},
-        **{f"differs_{name}": float(((dark > 0) != (first > 0)).sum() / there) for name, (dark, _) in counts.items()},
+        **{f"differs_{name}": float(((dark > 0) != (first > 0)).sum() / valid) for name, (dark, _) in counts.items()},
     }  # fmt: skip
 
 
@@ -198,7 +198,7 @@ def section(figures: Figures) -> Section:
             f"sides that are drawn, as a share of those without: {span(lambda row: row['sides'] / row['sides_polygons'])}; of "
             f"the pixels {up_to(apart)} differ (held if fewer everywhere, and at most {percent(SAME_PICTURE_SHARE)} differ)",
             fewer,
-            because(
+            reason(
                 fewer,
                 "the two sides at an edge between two casting triangles cancel; only those are left whose neighbour faces away",
                 "casters share too few edges",
@@ -210,7 +210,7 @@ def section(figures: Figures) -> Section:
             "time with silhouettes over time without, when every side is held against every other: "
             f"{span(lambda row: joined(row, 'search'))} (held if over 1 anywhere)",
             slower,
-            because(
+            reason(
                 slower,
                 "the search grows with the square of the triangles "
                 f"({listed_by_scene({n: row['triangles'] for n, row in scenes.items()}, str)}); what it saves "
@@ -224,7 +224,7 @@ def section(figures: Figures) -> Section:
             "time over that without silhouettes, the edge table made anew each time: "
             f"{span(lambda row: joined(row, 'structure'))} (held if under 1 everywhere)",
             faster,
-            because(
+            reason(
                 faster,
                 "a hash of vertex pairs finds all edges in one pass over the triangles ("
                 f"{span(lambda row: row['search_ms'] / row['structure_ms'])} times as fast as the search), and what is filled "
@@ -249,7 +249,7 @@ def section(figures: Figures) -> Section:
             f"time of filling, z-pass without caps over z-fail: {span(lambda row: row['fill_sides_ms'] / row['fill_z_fail_ms'])} "
             f"(held if under 1 everywhere); by default {span(lambda row: row['fill_auto_ms'] / row['fill_z_fail_ms'])}",
             quicker,
-            because(
+            reason(
                 quicker,
                 "fewer faces pass over fewer pixels",
                 "faces are not what filling takes: either way the same stencil is cleared, given depths and read, and faces "
@@ -264,7 +264,7 @@ def section(figures: Figures) -> Section:
             f"{percent(inside['z_fail'])}, caster by caster {percent(inside['auto'])} (held if z-fail gets at most "
             f"{percent(INSIDE_WRONG)} wrong and z-pass more)",
             robust,
-            because(
+            reason(
                 robust,
                 "z-pass counts from the eye and starts at 0, though the eye is in volumes already; z-fail starts at infinity, "
                 "where there are none. By default each caster whose volume may reach the near plane is counted by z-fail, the "

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.algorithms import frames_of_sizes
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import interleaved_times
-from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
+from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, factor, percent, reason, up_to, whole_percent
 from benchmarks.seeds.views import Asked, ViewWithTruth, bundled, one_map, settings_of, shallow, view_with_truth
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.passes import PassLog
@@ -47,7 +47,7 @@ ENOUGH = 0.03
 TENTH = 0.1
 """What bits change may be at most this share of what is off anyway."""
 
-LEAST_LEAK = 0.01
+MIN_LEAK = 0.01
 """Share of what is turned away that a map has to leave lit before there is anything to hide."""
 
 
@@ -110,7 +110,7 @@ def _hidden(look: ViewWithTruth, plan: Plan) -> dict[str, float]:
     near = shallow(look, flipped, HIDDEN_TEXELS * texel_m) & turned
     return {
         "texel_m": texel_m,
-        "turned": float(turned.sum() / look.buffer.there.sum()),
+        "turned": float(turned.sum() / look.buffer.valid.sum()),
         "lit": float(leaks.sum() / turned.sum()),
         "near": float(near.sum() / turned.sum()),
         "lit_near": float((leaks & near).sum() / max(leaks.sum(), 1)),
@@ -133,7 +133,7 @@ def section(figures: Figures) -> Section:
         (at_most(coverage, ENOUGH), at_least(without, TWICE * coverage), at_most(deeper, TENTH * coverage)),
     )
     hidden = figures["hidden"][CHOSEN]
-    hides = all_of((at_least(hidden["lit"], LEAST_LEAK), at_least(hidden["lit_near"], TWICE * hidden["near"])))
+    hides = all_of((at_least(hidden["lit"], MIN_LEAK), at_least(hidden["lit_near"], TWICE * hidden["near"])))
     claims = [
         Claim(
             SPATIALACE,
@@ -143,7 +143,7 @@ def section(figures: Figures) -> Section:
             steep,
             f"making the map is {whole_percent(map_share[first])} of the shadow's time at {first} texels a side and "
             f"{whole_percent(map_share[last])} at {last}"
-            + because(
+            + reason(
                 steep,
                 ", so its texels are what a frame pays for",
                 "; the rest is looking it up at each pixel, of which there are as many whatever its size. By the thesis's own "
@@ -159,7 +159,7 @@ def section(figures: Figures) -> Section:
             f"as at {first}",
             f"{factor(growth['kept'])} times as much (held up to {FLAT_SCENE:g})",
             flat,
-            because(
+            reason(
                 flat,
                 "a pixel looks up the same number of texels whatever the size",
                 f"looking it up takes {factor(ms[last]['visibility'] / ms[first]['visibility'])} times as long at {last} as at "
@@ -171,7 +171,7 @@ def section(figures: Figures) -> Section:
             f"keeping the map is what makes a map of {CHOSEN} bearable: redrawn frames take {factor(their_gain)} times as long",
             f"{factor(redrawn / kept)} times as long (held from {TWICE:g} on)",
             pays,
-            because(
+            reason(
                 pays,
                 "drawing is most of what the shadow costs",
                 f"the look-up is paid either way: a kept frame takes {factor(kept)} times as long as one without shadows, a "
@@ -186,7 +186,7 @@ def section(figures: Figures) -> Section:
             f"and if bits change at most {whole_percent(TENTH)} of it)",
             suffices,
             f"a texel is {hidden['texel_m']:.1f} m wide, "
-            + because(
+            + reason(
                 suffices,
                 "next to which a step of 16 bits is small",
                 "and edges are off by as much",
@@ -199,9 +199,9 @@ def section(figures: Figures) -> Section:
             f"of the surface turned away a biased map of {CHOSEN} alone leaves {percent(hidden['lit'])} lit, and "
             f"{whole_percent(hidden['lit_near'])} of that lies within {HIDDEN_TEXELS:g} texels, along the rays, of what the sun "
             f"meets first, where {whole_percent(hidden['near'])} of all that is turned away lies; decided by the normal, none of "
-            f"it is lit (held if at least {percent(LEAST_LEAK)} is lit, near there at least {TWICE:g} times as often as elsewhere)",
+            f"it is lit (held if at least {percent(MIN_LEAK)} is lit, near there at least {TWICE:g} times as often as elsewhere)",
             hides,
-            because(
+            reason(
                 hides,
                 "where a surface has just turned away the map holds its own lit side, less than the bias before it; that is why "
                 "attached shadow is decided before any algorithm here",

@@ -26,11 +26,11 @@ from benchmarks.seeds.verdicts import (
     all_of,
     at_least,
     at_most,
-    because,
     factor,
     listed_by_scene,
     named,
     percent,
+    reason,
     titled,
     whole_percent,
 )
@@ -179,19 +179,19 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
             "SM is the fastest everywhere",
             f"time of the fastest other, of SM's: {listed_by_scene(least)} (held if over 1 everywhere)",
             fastest,
-            because(fastest, "a look-up is one pass over the pixels, whatever casts", stages, f"{DRAW}: {stages}"),
+            reason(fastest, "a look-up is one pass over the pixels, whatever casts", stages, f"{DRAW}: {stages}"),
         ),
         claim(
             "PSM is a little behind SM in all scenes",
             f"time of PSM, of SM's: {listed_by_scene(behind)} (held if over 1 and at most {LITTLE:g} everywhere)",
             near,
-            because(near, stages, stages, f"{DRAW}: {stages}"),
+            reason(near, stages, stages, f"{DRAW}: {stages}"),
         ),
         claim(
             "SV beats PSM in Street, and only there",
             f"time of SV, of PSM's: {listed_by_scene(beaten)} (held if under 1 in Street, over 1 elsewhere)",
             street,
-            because(
+            reason(
                 street,
                 "Street's volumes have few faces, which draw in less time than pixels are looked up",
                 "beside Street there are scenes in which volumes cover little of the picture"
@@ -204,7 +204,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
             "SV beats the hybrid in all scenes but BoxGrid",
             f"time of the hybrid, of SV's: {listed_by_scene(hybrid)} (held if under 1 in BoxGrid, over 1 elsewhere)",
             boxgrid,
-            because(
+            reason(
                 boxgrid,
                 "only there volumes cover the picture so often that leaving them out pays for map and mask",
                 "what the hybrid leaves out would be filled by the processor here, which fills slowly: that pays for map and "
@@ -217,7 +217,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
             "these two, and within a "
             f"factor of {1.0 / MUCH_THE_SAME:g} elsewhere)",
             cheaper,
-            because(
+            reason(
                 cheaper,
                 "shadow upon shadow is what the mask saves",
                 "they are drawn in rectangles of marked tiles alone, with the faces that matter there: so the hybrid saves in "
@@ -231,7 +231,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
             if loses
             else "it is slower nowhere",
             for_map,
-            because(
+            reason(
                 for_map,
                 "with all that makes its map and its mask taken off it would not be slower",
                 "what it draws of its volumes is no less than all of them",
@@ -243,7 +243,7 @@ def _timing_claims(views: Figures, light: str) -> list[Claim]:
             f"time of the hybrid, of the slowest other's: {listed_by_scene(lead)} (held if over 1 in these two); slowest: "
             f"{', '.join(f'{SCENES[scene]} {SHORT[key]}' for scene, key in last.items())}",
             slowest,
-            because(
+            reason(
                 slowest,
                 "map and mask come on top of volumes that cost little",
                 "where SV is slower, what the hybrid's map decides saves more than map and mask cost; where SM is, its look-up "
@@ -264,7 +264,7 @@ def _size_claims(sizes: Figures) -> list[Claim]:
             "SM and PSM do not depend on the screen's resolution",
             f"{found} (held if at most {INDEPENDENT:g} for both)",
             free,
-            because(
+            reason(
                 free,
                 "the map costs most",
                 "every pixel is looked up, and on a processor pixels are what costs; only the map itself does not depend on them",
@@ -275,7 +275,7 @@ def _size_claims(sizes: Figures) -> list[Claim]:
             "a higher resolution hits the hybrid less than SV",
             f"{found} (held if less for the hybrid)",
             less,
-            because(
+            reason(
                 less,
                 "its map stays as it is, and marked pixels grow with the length of edges",
                 "what is common to both, depths and the read-back of the stencil, grows with the pixels and outweighs what is "
@@ -298,7 +298,7 @@ def _frame_claims(frames: Figures) -> list[Claim]:
             f"drawn into a texture {percent(large['map'])} of a finished frame (Water Tower, the spot, a map of {MAP_SIZES[1]}; "
             f"held from {whole_percent(THEIR_MAP_SHARE[0])} to {whole_percent(THEIR_MAP_SHARE[1])})",
             near,
-            because(
+            reason(
                 near,
                 "the share is much the same",
                 "depths alone are drawn, with no pixel of the picture shaded; a frame's time goes with its pixels, on which a "
@@ -312,7 +312,7 @@ def _frame_claims(frames: Figures) -> list[Claim]:
             f"{factor(grown)} times as long (held from half that growth on, {factor(half_as_steep)}); a frame with the smaller "
             f"one takes {factor(small['ms'] / frames['none']['ms'])} times one without shadows",
             steep,
-            because(
+            reason(
                 steep,
                 "texels cost",
                 "texels are a small part of the frame: there are as many pixels to look up, whatever the map",
@@ -349,7 +349,7 @@ def section_stencil(figures: Figures) -> Section:
                 f"two passes take {factor(ratio(tower, 'two passes', SV))} times as long in the water tower, "
                 f"{factor(ratio(tower, 'two passes', SV, 'kept'))} with the volumes kept (held if over 1, both times)",
                 faster,
-                because(faster, saved, beside, f"{DRAW}: {beside}"),
+                reason(faster, saved, beside, f"{DRAW}: {beside}"),
             )
         ],
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import CaptionedPicture, CropBox, write_sheet, wrong_in
-from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, because, percent
+from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, percent, reason
 from benchmarks.seeds.views import Variant, bundled, draw_variant, view_with_truth
 
 FRAME = (1280, 1024)
@@ -14,7 +14,7 @@ MAP_SIZES = (128, 256, 512, 1024)
 SHOWN = (128, 512)
 MASKS = ("original", "conservative")
 
-MOST_WRONG = 0.001
+MAX_WRONG = 0.001
 """Share of cast shadow that an exact algorithm may get wrong: what lies within the rasteriser's 1/256 pixel of an edge."""
 
 CROP: CropBox = (180, 500, 480, 300)
@@ -39,8 +39,8 @@ def section(figures: Figures) -> Section:
     original, conservative = ([row for row in figures["rows"] if row["mask"] == mask] for mask in MASKS)
     coarse, fine = original[0], original[-1]
     worst = max(row["wrong_cast"] for row in conservative)
-    misses = all_of((at_least(coarse["missed_shadow"], fine["missed_shadow"]), at_least(coarse["wrong_cast"], MOST_WRONG)))
-    exact = at_most(worst, MOST_WRONG)
+    misses = all_of((at_least(coarse["missed_shadow"], fine["missed_shadow"]), at_least(coarse["wrong_cast"], MAX_WRONG)))
+    exact = at_most(worst, MAX_WRONG)
     matters = None if exact is None else not exact
     claims = [
         Claim(
@@ -49,9 +49,9 @@ def section(figures: Figures) -> Section:
             f"the original mask misses {percent(coarse['missed_shadow'])} of the shadow at {coarse['map_size']} texels, "
             f"{percent(fine['missed_shadow'])} at {fine['map_size']}; connected parts of the picture that are wrong away from "
             f"edges: {coarse['interior_parts']} and {fine['interior_parts']} (held if it misses more with the smaller map, and "
-            f"over {percent(MOST_WRONG)} of the cast shadow is wrong there)",
+            f"over {percent(MAX_WRONG)} of the cast shadow is wrong there)",
             misses,
-            because(
+            reason(
                 misses,
                 "a bar or a gap between texel centres shows in none of the four texels compared: they agree, nothing is marked "
                 "there, and no volume is asked",
@@ -62,10 +62,10 @@ def section(figures: Figures) -> Section:
             f"{THESIS}, 7.2.3",
             "the right map size is all but impossible to tell, and left to the programmer",
             f"the conservative mask gets at most {percent(worst)} of the cast shadow wrong at any size from {MAP_SIZES[0]} to "
-            f"{MAP_SIZES[-1]} (held if over {percent(MOST_WRONG)}); it leaves {percent(conservative[0]['marked'])} of the pixels "
+            f"{MAP_SIZES[-1]} (held if over {percent(MAX_WRONG)}); it leaves {percent(conservative[0]['marked'])} of the pixels "
             f"to volumes at the smallest, {percent(conservative[-1]['marked'])} at the largest",
             matters,
-            because(
+            reason(
                 matters,
                 "its marks leave out pixels that they should not",
                 "its texels hold intervals of depth of all that touches them, and every pixel that these do not decide is "

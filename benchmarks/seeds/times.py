@@ -55,7 +55,7 @@ def medians(runs: dict[str, tuple[Shot, Plan]], repeats: int) -> Figures:
         medians_ms = {name: float(np.median(milliseconds)) for name, milliseconds in stages.items()}
         out.setdefault(key, {})[how] = {"ms": float(np.median(milliseconds_of_runs)), "stages": medians_ms}
     for key, log in found.logs.items():
-        out[key]["marked"] = float(sum(record.marked for record in log.records.values()) / runs[key][0].there.sum())
+        out[key]["marked"] = float(sum(record.marked for record in log.records.values()) / runs[key][0].valid.sum())
     return out
 
 

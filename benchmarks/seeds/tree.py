@@ -13,10 +13,10 @@ import trimesh
 
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import CaptionedPicture, CropBox, drawn, write_sheet
-from benchmarks.seeds.thin import MOST_WRONG
-from benchmarks.seeds.verdicts import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, because, percent
+from benchmarks.seeds.thin import MAX_WRONG
+from benchmarks.seeds.verdicts import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, percent, reason
 from benchmarks.seeds.views import LevelDocument, Variant, draw_variant, scene_of, view_with_truth
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.shadows.volumes import volumes
 from skugga.shadows.volumes.edges import Edges, signed_sums
 from skugga.shadows.volumes.silhouettes import Silhouette, silhouette
@@ -137,14 +137,14 @@ def section(figures: Figures) -> Section:
 
     maps = max(worst(SM, "interior"), worst(PSM, "interior"))
     wrong = {name: worst(name, "wrong_cast") for name in (SV, HYBRID, CLOSED)}
-    maps_hold, fail = at_most(maps, MOST_INTERIOR), at_least(max(wrong[SV], wrong[HYBRID]), MOST_WRONG)
+    maps_hold, fail = at_most(maps, MAX_INTERIOR), at_least(max(wrong[SV], wrong[HYBRID]), MAX_WRONG)
     claims = [
         Claim(
             f"{THESIS}, figure 57",
             "shadow maps and perspective ones do not care how the geometry is made",
-            f"at most {percent(maps)} of the picture is wrong away from shadow edges (held if at most {percent(MOST_INTERIOR)})",
+            f"at most {percent(maps)} of the picture is wrong away from shadow edges (held if at most {percent(MAX_INTERIOR)})",
             maps_hold,
-            because(
+            reason(
                 maps_hold,
                 "a depth map draws triangles one by one and knows no edges between them",
                 "twigs and leaves are thinner than texels: whole ones are lost, which has nothing to do with open meshes",
@@ -154,9 +154,9 @@ def section(figures: Figures) -> Section:
             f"{THESIS}, figure 57",
             "shadow volumes and the hybrid need closed meshes, and fail on the tree",
             f"wrong at most in {percent(wrong[SV])} (volumes) and {percent(wrong[HYBRID])} (hybrid) of the cast shadow (held if "
-            f"over {percent(MOST_WRONG)} of either); volumes that are made as of closed meshes in {percent(wrong[CLOSED])}",
+            f"over {percent(MAX_WRONG)} of either); volumes that are made as of closed meshes in {percent(wrong[CLOSED])}",
             fail,
-            because(
+            reason(
                 fail,
                 "sides of open edges are counted wrongly",
                 "a side counts as often as triangles meet at its edge without cancelling, once at an open one, and of open "

@@ -51,7 +51,7 @@ def opposite(verdict: ClaimVerdict) -> ClaimVerdict:
     return None if verdict is None else not verdict
 
 
-def because(verdict: ClaimVerdict, held: str, fails: str, draw: str = DRAW) -> str:
+def reason(verdict: ClaimVerdict, held: str, fails: str, draw: str = DRAW) -> str:
     """The reason that goes with a verdict."""
     return draw if verdict is None else held if verdict else fails
 

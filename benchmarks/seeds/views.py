@@ -57,12 +57,12 @@ class ViewWithTruth:
     @cached_property
     def receivers(self) -> np.ndarray:
         """Where cast shadow can lie (rows, cols): surface that the light can reach."""
-        return self.buffer.there & ~attached(self.buffer, self.scene, self.light)
+        return self.buffer.valid & ~attached(self.buffer, self.scene, self.light)
 
     @property
     def turned(self) -> np.ndarray:
         """Where the surface is turned away from the light or lies outside of its cone (rows, cols)."""
-        return self.buffer.there & ~self.receivers
+        return self.buffer.valid & ~self.receivers
 
     @property
     def perspective(self) -> PerspectiveView:
@@ -95,11 +95,11 @@ class ViewWithTruth:
 
     def finished(self, visibility: np.ndarray) -> np.ndarray:
         """A visibility with attached shadow in it, NaN off the surface."""
-        return np.where(self.buffer.there, np.where(self.receivers, visibility, np.float32(0.0)), np.float32(np.nan))
+        return np.where(self.buffer.valid, np.where(self.receivers, visibility, np.float32(0.0)), np.float32(np.nan))
 
     def texels_px(self, plan: Plan) -> np.ndarray:
         """How many pixels a texel of a plan's maps covers on level ground (rows, cols); 0 without maps."""
-        out = np.zeros(self.buffer.there.shape)
+        out = np.zeros(self.buffer.valid.shape)
         for step in plan.steps_under(self.light):
             out = np.maximum(out, texel_footprint_px(self.scene, step, self.buffer, self.descriptor.pixel_m))
         return out
@@ -181,7 +181,7 @@ def draw_variant(look: ViewWithTruth, variant: Variant) -> DrawnVariant:
     records = log.records.values()
     figures = look.errors(visibility, texels_px) | {
         "cast_edge_mean": float(edges_px.mean()) if edges_px.size else 0.0,
-        "marked": sum(record.marked for record in records) / max(int(look.buffer.there.sum()), 1),
+        "marked": sum(record.marked for record in records) / max(int(look.buffer.valid.sum()), 1),
     }
     return DrawnVariant(dark, figures, " ".join(record.note for record in records if record.note))
 

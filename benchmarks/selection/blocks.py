@@ -40,7 +40,7 @@ PLACES = ((0.25, 0.3), (0.75, 0.72), (0.45, 0.85))
 """Middles of other blocks, as shares of the level's sides."""
 SUNS = (SunSpec(azimuth=140.0, altitude=12.0), SunSpec(azimuth=220.0, altitude=40.0))
 TARGETS = (0.01, 0.03)
-MOST_POINTS_S = 2.0
+MAX_POINTS_S = 2.0
 """Truth is asked for at more and more points as long as they take less than this."""
 
 
@@ -126,7 +126,7 @@ class _Block:
         """Error and milliseconds of an option, and the standard deviation of the error's logarithm for want of points."""
         if which not in self._drawn:
             ms = self._prover.draw(which)
-            while not self._drawn and (self._prover.add_points_s() or np.inf) < MOST_POINTS_S:
+            while not self._drawn and (self._prover.add_points_s() or np.inf) < MAX_POINTS_S:
                 self._prover.add_points()
             seen = None if ms is None else self._prover.measurement(which).seen("", ms)
             self._drawn[which] = (1.0, np.inf, 0.0) if seen is None else (seen.error, seen.ms, seen.error_noise)

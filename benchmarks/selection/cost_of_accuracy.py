@@ -33,7 +33,7 @@ MARK = "cost of accuracy"
 INK, GRID, SHADES = "#333333", "#E4E4E4", ("#9CC3E6", "#3D87C4", "#0B3C68")
 """Of a figure: lighter is looser."""
 
-LEAST_VIEWS = 2
+MIN_VIEWS = 2
 """Of fewer views a median says nothing."""
 
 Figures = dict[str, Any]
@@ -160,7 +160,7 @@ def _strip(axes: Axes, row: int, its: Sequence[Price]) -> None:
     for number, (price, colour) in enumerate(zip(its, SHADES, strict=True)):
         y = row + 0.24 * (number - 1)
         axes.plot(price.ratios, np.full(len(price.ratios), y), ".", color=colour, markersize=7, alpha=0.6, markeredgewidth=0)
-        if len(price.ratios) >= LEAST_VIEWS:
+        if len(price.ratios) >= MIN_VIEWS:
             axes.plot([price.median] * 2, [y - 0.1, y + 0.1], color=colour, linewidth=3.2, solid_capstyle="butt")
             axes.plot([price.median, price.p90], [y, y], color=colour, linewidth=1.2)
 

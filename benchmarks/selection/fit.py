@@ -16,7 +16,7 @@ from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.error_model import (
     ERROR_OFFSET,
     INTERIOR_OFFSET,
-    LEAST_SPREAD,
+    MIN_SPREAD,
     ErrorModel,
     ExpectedErrors,
     HillCurve,
@@ -67,7 +67,7 @@ USUAL_TIME_SPREAD = 0.2
 NOTHING_SHARED = SharedVariance(view=0.0, family=0.0)
 APART = SharedErrors(error=NOTHING_SHARED, interior=NOTHING_SHARED, time=NOTHING_SHARED)
 
-MOST_EXPONENT = 700.0
+MAX_EXPONENT = 700.0
 """Of the natural exponential function that float64 holds."""
 
 LADDER = np.log2(TEXEL_LADDER_PX)
@@ -165,7 +165,7 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
     if device is not None:
         times = _Deviations.of(cases, lambda case, its: log(case.row["ms"] / case.expected_ms(device)), model)
         shared = shared.model_copy(update={"time": times.shared})
-        model = model.model_copy(update={"time_spread": max(_scale(np.exp(times.off)), LEAST_SPREAD)})
+        model = model.model_copy(update={"time_spread": max(_scale(np.exp(times.off)), MIN_SPREAD)})
     return model.model_copy(update={"shared": shared})
 
 
@@ -243,7 +243,7 @@ class _Terms:
         differs = np.where(texel <= TEXEL_LADDER_PX[0], self._differs[:, 0] * texel / TEXEL_LADDER_PX[0], differs)
         most, half, steepness = counts[self._kind].T
         # A search tries steep curves, whose powers would overflow.
-        powers = np.exp(np.minimum(steepness * np.log(half / np.maximum(texel, 1e-9)), MOST_EXPONENT))
+        powers = np.exp(np.minimum(steepness * np.log(half / np.maximum(texel, 1e-9)), MAX_EXPONENT))
         counted = most / (1.0 + powers)
         total = np.bincount(self._of, self._share * differs * counted, minlength=self._count)
         return np.minimum(total + self._maps @ floors, 1.0)
@@ -269,4 +269,4 @@ def _model(x: np.ndarray) -> ErrorModel:
 def _scale(ratios: Sequence[float]) -> float:
     """The scale of the logistic distribution of which nine tenths lie within what nine tenths of some ratios' logarithms do."""
     off = float(np.quantile(np.abs(np.log(ratios)), 0.9)) if len(ratios) else 0.0
-    return max(off / np.log(19.0), LEAST_SPREAD)
+    return max(off / np.log(19.0), MIN_SPREAD)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 
 PAR_FACTOR = 10.0
 """What a missed target costs, in times the worst that meets it."""
@@ -79,7 +79,7 @@ class GoalInstance:
         """Whether a row keeps to the error (or what truth's own noise leaves to tell) and to the time."""
         most = max(self.goal.max_error, NOISE_FLOORS * self.view["noise_floor"])
         row = self.rows[name]
-        return self.error(name) <= most and row["interior"] <= MOST_INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
+        return self.error(name) <= most and row["interior"] <= MAX_INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
 
     def losses(self, strict: bool = False) -> dict[str, float]:
         """The loss of every row, as a multiple of the least; ``strict``: with a fixed cutoff."""
@@ -106,7 +106,7 @@ class GoalInstance:
     def _overshoot(self, name: str) -> float:
         row = self.rows[name]
         late = 0.0 if self.max_ms is None else row["ms"] / self.max_ms
-        return max(self.error(name) / self.goal.max_error, row["interior"] / MOST_INTERIOR, late, 1e-3)
+        return max(self.error(name) / self.goal.max_error, row["interior"] / MAX_INTERIOR, late, 1e-3)
 
 
 def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> list[GoalInstance]:
@@ -136,7 +136,7 @@ class PolicyScore:
     regret_met: float
     """The mean of the choices that met their target."""
     unclean: float
-    """Share in which its row has interior error above ``MOST_INTERIOR`` though a clean row met the target."""
+    """Share in which its row has interior error above ``MAX_INTERIOR`` though a clean row met the target."""
     single: float
     """Mean loss of the single best."""
     single_met: float
@@ -164,7 +164,7 @@ def judged(
     can = np.array([one.can_be_met for one in instances])
     met = np.array([one.meets(taken[key]) for one, key in zip(instances, keys, strict=True)])
     single_met = np.array([one.meets(single[key]) for one, key in zip(instances, keys, strict=True)])
-    dirty = [able and one.rows[taken[key]]["interior"] > MOST_INTERIOR for one, key, able in zip(instances, keys, can, strict=True)]
+    dirty = [able and one.rows[taken[key]]["interior"] > MAX_INTERIOR for one, key, able in zip(instances, keys, can, strict=True)]
     regret, gap = own - 1.0, float(best.mean() - 1.0)
     worst = sorted(zip(regret, keys, strict=True), reverse=True)[:WORST]
     terrain = np.array([one.view["terrain"] for one in instances])

@@ -10,7 +10,7 @@ from typing import Any
 from skugga.selector.candidates import name_of
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.measure.probing import ErrorMeasurement
-from skugga.selector.measure.scene_prober import MOST_DOUBLINGS, ProbedPictures, SceneProber
+from skugga.selector.measure.scene_prober import MAX_DOUBLINGS, ProbedPictures, SceneProber
 from skugga.selector.options import LightOptions
 from skugga.selector.planner.planner import planner_of
 from skugga.selector.predict import plan_options
@@ -48,7 +48,7 @@ def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: st
             rows[row] = {"ms": ms, "draw_s": time.perf_counter() - start, "proofs": []}
             drawn.append((which, row))
     points_s: list[float] = []
-    for step in range(MOST_DOUBLINGS + 1):
+    for step in range(MAX_DOUBLINGS + 1):
         if step:
             prober.add_points()
         start = time.perf_counter()

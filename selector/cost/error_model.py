@@ -32,7 +32,7 @@ from skugga.selector.gaussian_estimate import SharedVariance, logistic_probabili
 from skugga.shadows.algorithm import ErrorConstants
 from skugga.shadows.plan import Step
 from skugga.shadows.registry import ALGORITHMS
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting
@@ -53,7 +53,7 @@ POOLED_SIZES = 3
 ERROR_OFFSET, INTERIOR_OFFSET = 1e-3, 1e-5
 """Offsets of errors and interior errors before the logarithm."""
 
-LEAST_SPREAD = 0.05
+MIN_SPREAD = 0.05
 """Lower bound of the scale of every algorithm."""
 
 
@@ -90,10 +90,10 @@ class ExpectedErrors:
     def probability_over(self, max_error: float) -> float:
         """Return the probability, in [0, 1], that a picture misses a limit.
 
-        The limits are ``max_error`` for the wrong share of the cast shadow, and ``MOST_INTERIOR`` for the interior error.
+        The limits are ``max_error`` for the wrong share of the cast shadow, and ``MAX_INTERIOR`` for the interior error.
         """
         error = logistic_probability_over(log_error(self.wrong_cast) - log_error(max_error), self.spread)
-        inside = logistic_probability_over(log_interior(self.interior) - log_interior(MOST_INTERIOR), self.interior_spread)
+        inside = logistic_probability_over(log_interior(self.interior) - log_interior(MAX_INTERIOR), self.interior_spread)
         return max(error, inside)  # interior errors are errors, too
 
 
@@ -198,7 +198,7 @@ def combine_errors(descriptor: Descriptor, light: str, wrong_of: Iterable[tuple[
         interior, interior_spread = interior + inside, interior_spread + inside * constants.interior_spread
     return ExpectedErrors(
         min(wrong, 1.0), min(wrong / _cast_share(descriptor, light), 1.0), min(interior, 1.0),
-        spread / wrong if wrong > 0.0 else LEAST_SPREAD, interior_spread / interior if interior > 0.0 else LEAST_SPREAD,
+        spread / wrong if wrong > 0.0 else MIN_SPREAD, interior_spread / interior if interior > 0.0 else MIN_SPREAD,
     )  # fmt: skip
 
 

@@ -75,7 +75,7 @@ class Comparison:
         Name of the light.
     rows
         One row for each candidate.
-    there
+    valid
         Valid mask of the surface, bool (rows, cols).
     error
         The error that targets limit in this view.
@@ -98,7 +98,7 @@ class Comparison:
     view: View
     light: str
     rows: list[ComparisonRow]
-    there: np.ndarray
+    valid: np.ndarray
     error: ErrorName
     boundary: float
     cast: float
@@ -233,7 +233,7 @@ def compare(
             draw_times_s |= {algorithm: min(trial_s, draw_times_s.get(algorithm, trial_s)) for algorithm in names}
         step(done, total)
     for turn in range(ROW_REPEATS):
-        for trial in sorted(trials, key=lambda trial: trial.first[0]) if view_truth.whole.there.any() else []:
+        for trial in sorted(trials, key=lambda trial: trial.first[0]) if view_truth.whole.valid.any() else []:
             if time.perf_counter() - start + trial.first[0] / 1000.0 < time_limit_s:
                 trial.later.append(run_light(scene, pictures, trial.plan, light).times)
         step(len(plans) + 3 + turn, total)
@@ -241,7 +241,7 @@ def compare(
     _mark_pareto(rows, view_truth.error)
     remarks = _remarks(scene, view_truth, rows)
     return Comparison(
-        view, light, rows, view_truth.whole.there, view_truth.error, view_truth.whole.boundary, view_truth.whole.cast, surface,
+        view, light, rows, view_truth.whole.valid, view_truth.error, view_truth.whole.boundary, view_truth.whole.cast, surface,
         floor, remarks, tuple(left_out), default,
     )  # fmt: skip
 
@@ -287,16 +287,16 @@ def _select_plans(plans: list[Plan], light: str, names: Collection[str]) -> list
 def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
     """Return the error of truth with sub-samples of another seed (their majority or their share) against truth."""
     light = view_truth.blocks[0].light
-    if (light == SUN and not scene.sun_is_up) or not view_truth.whole.there.any():
+    if (light == SUN and not scene.sun_is_up) or not view_truth.whole.valid.any():
         return 0.0
     votes = []
     for ground in view_truth.blocks:
         rays = truth_module.ray_scene(ground.buffer, scene, ground.casters, truth_module.ALL_KINDS)
-        count = np.zeros(ground.buffer.there.shape, np.float32)
+        count = np.zeros(ground.buffer.valid.shape, np.float32)
         for sub_view in truth_module.jittered_views(ground.buffer.view, TRUTH_SAMPLES, seed=1):
             sample = geometry_buffer(scene, sub_view, ground.buffer.frame)
             count += truth_module.lit_mask(sample, scene, light, rays)
-        votes.append(np.where(ground.buffer.there, count / TRUTH_SAMPLES, np.nan))
+        votes.append(np.where(ground.buffer.valid, count / TRUTH_SAMPLES, np.nan))
     if view_truth.error == "coverage":
         return view_truth.coverage(votes)
     return error_metrics(view_truth.assembled(votes, np.nan), view_truth.whole, 1.0).wrong_cast
@@ -308,7 +308,7 @@ def _first_run(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBloc
     run = run_light(scene, pictures, plan, light)
     for ground, part in zip(view_truth.blocks, run.parts, strict=True):
         part[ground.attached] = 0.0
-        part[~ground.buffer.there] = np.nan
+        part[~ground.buffer.valid] = np.nan
     errors = view_truth.errors(run.parts, plan.steps_under(light), pixel_m, soft=True)
     shown_visibility = np.nan_to_num(view_truth.assembled(run.parts, np.nan), nan=1.0)
     dark, true_dark = shown_visibility < 0.5, ~truth.lit
@@ -389,7 +389,7 @@ def _mark_pareto(rows: list[ComparisonRow], error: str) -> None:
 
 def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> list[str]:
     truth, remarks = view_truth.whole, []
-    if not truth.there.any():
+    if not truth.valid.any():
         remarks.append("the view shows no surface: there is nothing to compare")
     elif not scene.light_names:
         remarks.append("the level has no light: everything is dark, whatever the algorithm")
@@ -399,7 +399,7 @@ def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> 
         remarks.append(NO_CAST)
     elif not truth.lit.any():
         remarks.append("nothing is lit: only missed shadow can be measured")
-    if truth.there.any() and view_truth.error == "coverage":
+    if truth.valid.any() and view_truth.error == "coverage":
         remarks.append("coverage is the error that counts: truth cannot decide over half of the surface")
     if not rows:
         remarks.append("no shadow algorithm can serve this view")

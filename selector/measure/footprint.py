@@ -19,10 +19,10 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
     """
     texel_of = None if step is None else ALGORITHMS[step.algorithm].accuracy.texel_m
     if step is None or texel_of is None:
-        return np.zeros(buffer.there.shape)
+        return np.zeros(buffer.valid.shape)
     texel_m = texel_of(scene, step.light, step.kinds, step.settings, buffer)
     size_m = _pixel_at_points_m(buffer) if isinstance(buffer.view, PerspectiveView) else pixel_m
-    return np.broadcast_to(np.nan_to_num(texel_m / size_m), buffer.there.shape)
+    return np.broadcast_to(np.nan_to_num(texel_m / size_m), buffer.valid.shape)
 
 
 @cached("scene", 512 * MIB)

@@ -130,7 +130,7 @@ class PictureTruth:
         self.scene, self.picture, self.light, self.casters = scene, picture, light, casters
         self._effects = effects
         self.every = 1
-        rows, cols = picture.there.shape
+        rows, cols = picture.valid.shape
         while rows * cols / (2 * self.every) ** 2 >= LATTICE_POINTS:
             self.every *= 2
         self.attached = attached(picture, scene, light)
@@ -152,7 +152,7 @@ class PictureTruth:
         truth = trace_truth(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays, nodes=self.nodes)
         buffer = without_hidden_points(full, self.scene, self.light, self._effects)
         if buffer is not full:
-            truth = replace(truth, decidable=truth.decidable & buffer.there, there=truth.there & buffer.there)
+            truth = replace(truth, decidable=truth.decidable & buffer.valid, valid=truth.valid & buffer.valid)
         return Lattice(buffer, first, self.every, truth)
 
     @cached_property
@@ -173,7 +173,7 @@ class PictureTruth:
         ``pixel_m`` is a pixel's side.
         """
         truth = lattice.truth
-        dark, true_dark = lattice.at_points(dark) & truth.there, ~truth.lit & truth.there
+        dark, true_dark = lattice.at_points(dark) & truth.valid, ~truth.lit & truth.valid
         wrong = truth.decidable & (dark != true_dark)
         cast = truth.decidable & (dark | true_dark) & ~truth.attached
         decided, wrong_count, cast_count, wrong_cast = (
@@ -189,12 +189,12 @@ class PictureTruth:
         texel_px = np.max([texel_footprint_px(self.scene, step, lattice.buffer, pixel_m) for step in drawing], axis=0)
         distance_px = np.maximum(INTERIOR_PX, 2.0 * texel_px[wrong]).astype(np.float64)
         row, col = (first + lattice.every * index for first, index in zip(lattice.first, np.nonzero(wrong), strict=True))
-        self._trace(edge_test_region(row, col, distance_px, self.picture.there.shape))
-        return int(np.count_nonzero(far_from_edges(self._dark, self.picture.there, row, col, distance_px)))
+        self._trace(edge_test_region(row, col, distance_px, self.picture.valid.shape))
+        return int(np.count_nonzero(far_from_edges(self._dark, self.picture.valid, row, col, distance_px)))
 
     def _trace(self, pixels: np.ndarray) -> None:
         """Trace one ray for each of some pixels (rows, cols), and store truth's class."""
-        new = pixels & self.picture.there & ~self._traced
+        new = pixels & self.picture.valid & ~self._traced
         if new.any():
             self._dark |= new & ~lit_mask(self.picture, self.scene, self.light, self.rays, receiver_mask=new)
             self._traced |= new

@@ -130,14 +130,20 @@ def _errors_text(measurement: ErrorMeasurement) -> str:
     text = f"{format_percent(measurement.error)} wrong"
     if measurement.high > measurement.low:
         text += f" ({format_percent(measurement.low)} to {format_percent(measurement.high)} with 95 % confidence)"
-    return f"{text} of {measurement.points} points in cast shadow, {format_percent(measurement.interior)} of all points wrong far from edges"
+    return (
+        f"{text} of {measurement.points} points in cast shadow, {format_percent(measurement.interior)} of all "
+        f"points wrong far from edges"
+    )
 
 
 def _result_text(options: PlanOptions, light: str, probe: LightProbe) -> str:
     """Return the result of a probe in words."""
     light_options, max_error = probe.options, options.max_error
     drawn = len(probe.drawn)
-    text = f"{drawn} of {len(light_options.options)} candidates drawn and compared with truth in {format_duration(1000.0 * probe.seconds)}: "
+    text = (
+        f"{drawn} of {len(light_options.options)} candidates drawn and compared with truth in "
+        f"{format_duration(1000.0 * probe.seconds)}: "
+    )
     if not light_options.numbers:
         return text + "no candidate can draw this view"
     leader = leader_of(light_options, max_error, options.time_limits_ms()[light])

@@ -5,7 +5,7 @@ expectations of every candidate (``skugga.selector.options``).
 
 - The leader, the candidate with the least expected loss, is drawn first. Truth is computed at more and more points until it decides
   whether the leader meets the target. Then the new leader is drawn, and so on.
-- After the leader is confirmed, other candidates are drawn as long as their expected gain exceeds ``LEAST_SAVING``.
+- After the leader is confirmed, other candidates are drawn as long as their expected gain exceeds ``MIN_SAVING``.
 - A probe ends without such a candidate, or when its time is spent. ``measure`` is a probe without a time limit.
 """
 
@@ -22,12 +22,12 @@ from skugga.selector.gaussian_estimate import GaussianEstimate
 from skugga.selector.observation import Observation
 from skugga.selector.options import LightOptions
 from skugga.selector.ranking import relative_overshoot
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 
-LEAST_SAVING = 0.03
+MIN_SAVING = 0.03
 """Expected gain, at least, of a candidate that is drawn: a share of the leader's time, or of its error if it misses the target."""
 
-LEAST_SAVING_UNLIMITED = 0.002
+MIN_SAVING_UNLIMITED = 0.002
 """The same without a time limit."""
 
 TIME_NOISE = 0.12
@@ -40,7 +40,7 @@ and by 0.14 overall.
 INTERVAL_Z = 1.96
 """Standard errors between a share and the limits of its 95 % interval."""
 
-DECIDED_Z, LEAST_NOISE = 2.58, 1e-9
+DECIDED_Z, MIN_NOISE = 2.58, 1e-9
 """Standard errors between an error and its limit, at least, of a decided verdict (99 in 100 cases), and the least standard error.
 """
 
@@ -76,9 +76,9 @@ class ErrorMeasurement:
     points: int
 
     def decides(self, max_error: float) -> bool:
-        """Return whether it is decided that a picture stays within ``max_error`` and ``MOST_INTERIOR``, or that it does not."""
-        over = (log_error(self.error) - log_error(max_error)) / max(self._error_noise, LEAST_NOISE)
-        inside_over = (log_interior(self.interior) - log_interior(MOST_INTERIOR)) / max(self._interior_noise, LEAST_NOISE)
+        """Return whether it is decided that a picture stays within ``max_error`` and ``MAX_INTERIOR``, or that it does not."""
+        over = (log_error(self.error) - log_error(max_error)) / max(self._error_noise, MIN_NOISE)
+        inside_over = (log_interior(self.interior) - log_interior(MAX_INTERIOR)) / max(self._interior_noise, MIN_NOISE)
         return max(over, inside_over) < -DECIDED_Z or over > DECIDED_Z or inside_over > DECIDED_Z
 
     @property
@@ -158,7 +158,7 @@ def probe_options(
     refuse all options.
     """
     drawn_ms: dict[int, float] = {}
-    least_gain = LEAST_SAVING if budget_s is not None else LEAST_SAVING_UNLIMITED
+    least_gain = MIN_SAVING if budget_s is not None else MIN_SAVING_UNLIMITED
     initial_leader = leader_of(prior, max_error, max_ms)
 
     def has_time(seconds: float) -> bool:

@@ -22,14 +22,16 @@ from skugga.terrain.errors import UnsupportedError
 from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.scene import Scene
 
-MOST_DOUBLINGS = 4
+MAX_DOUBLINGS = 4
 """Doublings of the number of lattices with truth: 1, 2, 4, 8, 16. In pictures of usual size 16 lattices contain all pixels."""
 
 COVERAGE_BLOCKS = 16
 """Blocks of pixels in the first comparison of coverage. The number doubles with every step, up to that of the report."""
 
 DRAW_REPEATS, MAX_REPEATED_MS = 2, 3000.0
-"""Repeats of a drawing, if one takes less than ``MAX_REPEATED_MS``. The least time counts: other load and one-time work only add to it."""
+"""Repeats of a drawing, if one takes less than ``MAX_REPEATED_MS``. The least time counts: other load and one-time work only add to
+it.
+"""
 
 
 class ProbedPictures:
@@ -98,7 +100,7 @@ class SceneProber:
         self._parts[which], self._steps[which] = run.parts, plan.steps_under(self._light)
         for truth, part in zip(self._truths, run.parts, strict=True):
             part[truth.attached] = 0.0
-            part[~truth.picture.there] = np.nan
+            part[~truth.picture.valid] = np.nan
         self._dark[which] = [np.nan_to_num(part, nan=1.0) < 0.5 for part in run.parts]
         return ms
 
@@ -111,7 +113,7 @@ class SceneProber:
     def uses_coverage(self) -> bool:
         """Whether truth decides so few points that coverage is the error that counts."""
         counts = [lattice.truth for picture_lattices in self._lattices_so_far() for lattice in picture_lattices]
-        surface, decided = (sum(int(getattr(truth, name).sum()) for truth in counts) for name in ("there", "decidable"))
+        surface, decided = (sum(int(getattr(truth, name).sum()) for truth in counts) for name in ("valid", "decidable"))
         return decided < (1.0 - MAX_UNDECIDABLE_SHARE) * surface
 
     def _lattices_so_far(self) -> list[list[Lattice]]:
@@ -156,7 +158,7 @@ class SceneProber:
         ])  # fmt: skip
         off = off[np.isfinite(off)]
         mean, half = (float(off.mean()), INTERVAL_Z * float(off.std()) / max(len(off), 1) ** 0.5) if len(off) else (0.0, 1.0)
-        half = 0.0 if self._doublings == MOST_DOUBLINGS else half
+        half = 0.0 if self._doublings == MAX_DOUBLINGS else half
         inside = measurement_from_counts(total, self._is_complete)
         return ErrorMeasurement(
             mean, max(mean - half, 0.0), min(mean + half, 1.0), inside.interior, inside.interior_low, inside.interior_high, len(off)
@@ -171,7 +173,7 @@ class SceneProber:
 
     def add_points_s(self) -> float | None:
         """Return the expected seconds to compute truth at more points; ``None`` if it is known at all points."""
-        if self._doublings == MOST_DOUBLINGS or (self._is_complete and not self.uses_coverage):
+        if self._doublings == MAX_DOUBLINGS or (self._is_complete and not self.uses_coverage):
             return None
         return self._points_s * 2**self._doublings * len(self._truths) + 2.0 * self._coverage_s
 
@@ -182,7 +184,7 @@ class SceneProber:
 
 
 def measurement_from_counts(counts: PointCounts, is_complete: bool) -> ErrorMeasurement:
-    """Return the errors that counts of points give. ``is_complete`` means all pixels are counted, so the intervals have no width."""
+    """Return the errors that counts of points give. ``is_complete`` means all pixels are counted: intervals have no width."""
     error, interior = counts.wrong_cast / max(counts.cast, 1), counts.inside / max(counts.decided, 1)
     if is_complete:
         return ErrorMeasurement(error, error, error, interior, interior, interior, counts.cast)

@@ -172,7 +172,7 @@ def truth_of_parts(
 
 def _joined_truth(view: View, blocks: Sequence[TruthBlock]) -> Truth:
     """Return the truth of the whole view."""
-    fields = ("lit", "attached", "decidable", "there")
+    fields = ("lit", "attached", "decidable", "valid")
     return Truth(*(_assemble(view, blocks, [getattr(ground.truth, field) for ground in blocks], False) for field in fields))
 
 
@@ -190,7 +190,7 @@ def _truth_block(scene: Scene, light: str, block: View, row: int, col: int, samp
         without_hidden_points(full_buffer, scene, light, effects),
     )
     if buffer is not full_buffer:
-        truth = replace(truth, decidable=truth.decidable & buffer.there, there=truth.there & buffer.there)
+        truth = replace(truth, decidable=truth.decidable & buffer.valid, valid=truth.valid & buffer.valid)
     return TruthBlock(scene, buffer, light, casters, truth, attached(buffer, scene, light), row, col)
 
 
@@ -201,12 +201,12 @@ def _area_visibility(ground: TruthBlock, every: int) -> np.ndarray:
     """
     out = np.full(ground.truth.lit.shape, np.nan, np.float32)
     if ground.light == SUN and not ground.scene.sun_is_up:
-        out[ground.truth.there] = 0.0
-    elif ground.truth.there.any():
+        out[ground.truth.valid] = 0.0
+    elif ground.truth.valid.any():
         points = subsampled_points(ground.buffer, every)
         rays = ray_scene(ground.buffer, ground.scene, ground.casters, ALL_KINDS)
         seen = area_visibility(points, ground.scene, ground.light, rays, SOFT_SAMPLES)
-        out[::every, ::every] = np.where(points.there, seen, np.nan)
+        out[::every, ::every] = np.where(points.valid, seen, np.nan)
     return out
 
 

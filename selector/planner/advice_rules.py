@@ -70,7 +70,7 @@ MAX_VISIBLE_LIT_SHARE = 1.0 / 3.0
 Perspective maps get half as much wrong there as plain maps, in the same time (``docs/seeds.md``, the advice).
 """
 
-LEAST_GAIN = 4.0
+MIN_GAIN = 4.0
 """Reduction of a texel's size near the eye, at least, that makes the uneven texels of a perspective map worthwhile."""
 
 
@@ -229,7 +229,7 @@ def _small_visible_lit_area(case: RuleInput) -> str | None:
     # If the camera is slid back until all casters lie before it, the plane of infinity lies at depth m in post-perspective space.
     # The far distance is then m / (m - 1) times the near one. No texel gets smaller by more than this factor.
     gain = bands[-1].far_m / bands[0].near_m
-    if gain < LEAST_GAIN:
+    if gain < MIN_GAIN:
         return None
     return f"the camera sees {100.0 * light_facts.area_share:.1f} % of the lit area: a perspective shadow map puts its texels there"
 

@@ -59,7 +59,7 @@ def fill(
     light_frame = np.array(scene.light_position(light, buffer.frame))
     with log.run(passes[0]) as record:
         volumes = volumes_of(buffer, scene, light_frame, kinds, casters, record)
-    receiver_mask = buffer.there & ~attached(buffer, scene, light)
+    receiver_mask = buffer.valid & ~attached(buffer, scene, light)
     if settings.mask == "original":
         classes = _classify_by_comparison(buffer, scene, light, kinds, casters, settings, receiver_mask, passes, log)
     else:

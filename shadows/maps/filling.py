@@ -54,7 +54,7 @@ def visibility_by_maps(
         OpenGL fails.
     """
     draw_pass, look_up_pass = passes
-    visibility = np.ones(buffer.there.shape, np.float32)
+    visibility = np.ones(buffer.valid.shape, np.float32)
     if not maps:
         with log.run(look_up_pass):
             return visibility

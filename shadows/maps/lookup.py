@@ -68,15 +68,15 @@ def look_up(
             return
         facets = facing_normals(buffer, light_frame)
         if isinstance(view, MapView) and window is not None:
-            rows, cols = buffer.there.shape
+            rows, cols = buffer.valid.shape
             # a lifted point lies on none of the triangles around its node; a negative crease marks it
             crease = facets.crease if buffer.lifted is None else np.where(buffer.lifted, -facets.crease - TINY, facets.crease)
             facing = np.concatenate([facets.normal_frame, crease[..., None]], axis=-1)
-            chosen = np.flatnonzero(buffer.there)
+            chosen = np.flatnonzero(buffer.valid)
             triangle_flags = {
                 "on_nodes": True,
                 "has_corners": corners is not None,
-                "placed": chosen.size < MAX_GATHERED_SHARE * buffer.there.size,
+                "placed": chosen.size < MAX_GATHERED_SHARE * buffer.valid.size,
             }
             program = _program(gl, depth_map, settings, settings.filter, triangle_flags)
             first = (view.col0 - window.col0, view.row0 - window.row0)
@@ -85,7 +85,7 @@ def look_up(
             arrays = [buffer.position_frame_m, facing, *(() if corners is None else (corners.reshape(rows, cols * 3, 3),))]
             visibility[:] = 1.0
             if triangle_flags["placed"]:
-                place = np.stack(np.nonzero(buffer.there)[::-1], axis=-1).astype(np.float32)
+                place = np.stack(np.nonzero(buffer.valid)[::-1], axis=-1).astype(np.float32)
                 gathered = [_in_rows(array.reshape(rows * cols, -1)[chosen]) for array in arrays] + [_in_rows(place)]
                 arrays = [gathered[0], gathered[1], *(array.reshape(len(array), -1, 3) for array in gathered[2:-1]), gathered[-1]]
             arrays.insert(2, _nodes(window.sheet))
@@ -136,7 +136,8 @@ def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int
     disc, taps = filter == "sun", DISC_TAPS if filter == "sun" else int(filter)
     by = _comparison(settings, taps)
     constants = triangle_flags | {
-        "lamp": depth_map.uniforms["lamp"], "faces": len(depth_map.faces), "by_triangles": by.by_triangles, "by_offset": by.by_offset,
+        "lamp": depth_map.uniforms["lamp"], "faces": len(depth_map.faces), "by_triangles": by.by_triangles,
+        "by_offset": by.by_offset,
         "taps": taps, "lit_by_taps": not disc, "taps_beside": by.taps_beside,
     }  # fmt: skip
     fragment = shader(depth_map.shaders[1], "shadows/maps/sun_disc.frag" if disc else "shadows/maps/shadow_map.frag")

@@ -59,13 +59,13 @@ TOLERANCE = 1.125
 CLIP_ERROR = 2.0 * POSITION_ERROR
 """Upper bound of the float32 error of positions, as a share of their coordinates."""
 
-MOST_TEXEL_PX = 4.0
+MAX_TEXEL_PX = 4.0
 """Upper bound of a texel's size in pixels (root mean square) for a single map.
 
 Above it the view gets several maps, since some edges are then off by over two pixels (``docs/seeds.md``, figure 52).
 """
 
-MOST_RANGES = 4
+MAX_RANGES = 4
 """Upper bound of the number of maps: that of the cascades of a shadow map."""
 
 FRONT_SHARE = 0.01
@@ -90,7 +90,7 @@ def fill(
     depth_pass, visibility_pass = log.named(light, kinds, PASSES)
     trees = caster_trees(buffer, kinds)
     with log.run(depth_pass) as record:  # fitting a map is part of making it
-        receivers = buffer.there & ~attached(buffer, scene, light)
+        receivers = buffer.valid & ~attached(buffer, scene, light)
         shaded = receivers.any() and has_casters(scene, buffer, kinds)
         fitted = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
         record.note = next(filter(None, [record.note, *(each.note for each in fitted)]), "")  # the first note of any part of a view
@@ -127,18 +127,18 @@ def perspective_maps(
 ) -> list[FittedMap]:
     """Return the maps of a light for a perspective view's receivers (rows, cols), at least one, from the eye outwards.
 
-    One map suffices if its texels cover at most ``MOST_TEXEL_PX``. Otherwise the receivers are split at distances in a geometric
+    One map suffices if its texels cover at most ``MAX_TEXEL_PX``. Otherwise the receivers are split at distances in a geometric
     series along the view's axis. The result is the smallest number of ranges that keeps to this bound, or else the split into up to
-    ``MOST_RANGES`` whose coarsest texels are smallest.
+    ``MAX_RANGES`` whose coarsest texels are smallest.
     """
     assert isinstance(buffer.view, PerspectiveView)
     best = [perspective_map(buffer, receivers, scene, light, settings, trees)]
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
     ahead_m = (buffer.position_frame_m[receivers] - eye) @ camera_from_frame[2]
     octaves = np.log2(ahead_m / ahead_m.min())
-    for count in range(2, MOST_RANGES + 1):
+    for count in range(2, MAX_RANGES + 1):
         coarsest_px = max(each.texel_px for each in best)
-        if coarsest_px <= MOST_TEXEL_PX or octaves.max() < count:
+        if coarsest_px <= MAX_TEXEL_PX or octaves.max() < count:
             break
         number = np.full(receivers.shape, -1)
         number[receivers] = np.minimum((count * octaves / octaves.max()).astype(np.int64), count - 1)
@@ -297,10 +297,10 @@ def _texel_m(
     scene: Scene, light: str, kinds: tuple[CasterKind, ...], settings: PerspectiveMapSettings, buffer: GeometryBuffer
 ) -> float | np.ndarray:
     """Return a texel's larger side on level ground at a buffer's points (rows, cols), metres; 0 where nothing faces the light."""
-    receivers = buffer.there & ~attached(buffer, scene, light)
+    receivers = buffer.valid & ~attached(buffer, scene, light)
     if not receivers.any():
         return 0.0
-    trees, texel_m = caster_trees(buffer, kinds), np.zeros(buffer.there.shape)
+    trees, texel_m = caster_trees(buffer, kinds), np.zeros(buffer.valid.shape)
     for each in perspective_maps(buffer, receivers, scene, light, settings, trees):
         assert each.drawn.pixels is not None
         places, map_rows = np.unravel_index(each.drawn.pixels, texel_m.shape), np.reshape(each.drawn.uniforms["map_rows"], (4, 4))

@@ -102,7 +102,8 @@ def sun_map(depth_map: DepthMap, depths: np.ndarray) -> SunMap:
     return SunMap(
         depths, single(1.0 if depths.dtype == single else 2**16 - 1),
         np.array(uniforms["light_from_frame"], single).reshape(3, 3).T.copy(), np.array(uniforms["light_offset_m"], single),
-        single(uniforms["window_m"][2]), np.array(uniforms["texel_m"], single), single(uniforms["error_m"]), single(uniforms["depth_step"]),
+        single(uniforms["window_m"][2]), np.array(uniforms["texel_m"], single), single(uniforms["error_m"]),
+        single(uniforms["depth_step"]),
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ It leaves float32 enough precision.
 DOUBLINGS = 6
 """Number of doublings of the far plane's distance for the longest slide-back, and fewest halvings for the shortest."""
 
-LEAST_EXTENT = 1e-3
+MIN_EXTENT = 1e-3
 """Lower bound of the depth and of the half width, as shares of the distance, of a virtual camera.
 
 A wall or a single pixel needs it.
@@ -182,11 +182,11 @@ def post_perspectives(
         why = f"the light stands {off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}"
         return [made(uniform, None, np.inf, f"a uniform map: {why}")]
     near, far = float(seen[:, 2].min()), float(seen[:, 2].max())
-    far = max(far, near * (1.0 + LEAST_EXTENT))  # a wall that faces the camera
+    far = max(far, near * (1.0 + MIN_EXTENT))  # a wall that faces the camera
     widest, candidates = np.abs(seen[:, :2]).max(axis=1), []
     halvings = max(DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1)  # a slide-back below half the nearest distance has no effect
     for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, DOUBLINGS + 1))):
-        view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), LEAST_EXTENT), near, far, slide_m)
+        view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), MIN_EXTENT), near, far, slide_m)
         seen_light = view @ light.homogeneous
         matrix = light_matrix(seen_light, _centre(projected(view, points))) @ view
         if is_clear_of_horizon(horizon_distance(matrix, held) / ahead):

@@ -35,7 +35,8 @@ def relevant_trees(depth_map: DepthMap, buffer: GeometryBuffer, soft: bool) -> n
         farthest = np.full((CORES, RECEIVER_CELLS + 1, RECEIVER_CELLS + 1), -np.inf, np.float32)
         parts = np.linspace(0, len(depth_map.pixels), CORES + 1).astype(np.int64)
         run_in_chunks(
-            CORES, _farthest_receivers, parts, buffer.position_frame_m.reshape(-1, 3), depth_map.pixels, rotation, translation, cells,
+            CORES, _farthest_receivers, parts, buffer.position_frame_m.reshape(-1, 3), depth_map.pixels, rotation,
+            translation, cells,
             farthest,
         )  # fmt: skip
         beside_m = (MAP_BORDER_TEXELS + (WIDEST_TEXELS if soft else 0)) * texel_m

@@ -34,7 +34,8 @@ DISC_TAPS = 3
 
 @cached("process", MIB)
 def samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
-    """Return the bits of the disc's samples in front of each of ``EDGE_STEPS + 1`` positions in [-1, 1], (``EDGE_STEPS + 1``, 4) uint32.
+    """Return the bits of the disc's samples in front of each of ``EDGE_STEPS + 1`` positions in [-1, 1], (``EDGE_STEPS + 1``, 4)
+    uint32.
 
     The first array is along right, the second along up. The samples are Vogel's spiral (1979), of equal areas.
     """

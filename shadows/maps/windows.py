@@ -105,7 +105,7 @@ def sun_maps(
     """
     view = buffer.view
     stable = isinstance(view, MapView) and settings.fit == "stable"
-    receivers = buffer.there if stable else buffer.there & ~attached(buffer, scene)
+    receivers = buffer.valid if stable else buffer.valid & ~attached(buffer, scene)
     if len(settings.cascades) == 1 or isinstance(view, MapView):
         if not receivers.any():
             return []
@@ -179,7 +179,7 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
     half = 1.0 if lamp.kind == "omni" else float(np.tan(np.radians(lamp.cutoff_deg)))
     tangent = half * size / (size - 2 * MAP_BORDER_TEXELS)
     face_from_frame = np.stack([turned @ rotation for turned in faces])
-    nearest_m, farthest_m = _depths_seen(buffer.position_frame_m, buffer.there, position, face_from_frame, tangent)
+    nearest_m, farthest_m = _depths_seen(buffer.position_frame_m, buffer.valid, position, face_from_frame, tangent)
     if not farthest_m > 0.0:
         return None
     near, far = max(0.98 * nearest_m, NEAREST_SHARE * farthest_m), 1.02 * farthest_m
@@ -189,10 +189,10 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
         "light_offset_m": tuple(-rotation @ position),
         "tangent": tangent,
         "near_far_m": (near, far),
-        "error_m": POSITION_ERROR * (_extent_m(buffer, buffer.there) + float(np.abs(position).max())),
+        "error_m": POSITION_ERROR * (_extent_m(buffer, buffer.valid) + float(np.abs(position).max())),
         "depth_step": 1.0 / depth_steps(settings.depth_bits),
     }
-    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.there)
+    pixels = None if isinstance(buffer.view, MapView) else np.flatnonzero(buffer.valid)
     return DepthMap(uniforms, (size, size), faces, settings.depth_bits, trees, pixels)
 
 

@@ -26,7 +26,7 @@ NO_GROUND = -1e30
 NUDGE = 1e-7
 """Step in nodes by which a line enters the next quad."""
 
-LEAST_NODES = 1e-4
+MIN_NODES = 1e-4
 """Distance in nodes within which ground counts as the ground under the eye."""
 
 
@@ -305,7 +305,7 @@ def _can_exceed(high, eye, best, kappa, near, far):
 @internal
 def _raise_horizon(walks, n, best, h, eye, kappa, s, at, least):
     """Return the maximum of a tangent and of the tangent of ground of a height at a distance; store the ground if it is higher."""
-    if not s > least * LEAST_NODES / NUDGE:
+    if not s > least * MIN_NODES / NUDGE:
         return best
     theta = kappa * s
     square = theta * theta

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skugga.shadows.point.directions import Directions, direction_range
-from skugga.shadows.point.solid_sight import LEAST_AWAY_M, Sighting, azimuth_of
+from skugga.shadows.point.solid_sight import MIN_AWAY_M, Sighting, azimuth_of
 from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_corner
 from skugga.terrain.interpolation_loops import blend_corners, cell_interval
@@ -168,7 +168,7 @@ def _sight_quad(quad, alpha, sine, cosine, tangent, highest, found, n, m):
     by_u, by_v = right[0] * sine + right[1] * cosine, up[0] * sine + up[1] * cosine
     s0, s1 = base + u0 * by_u + v0 * by_v, base + u1 * by_u + v1 * by_v
     z0, z1 = first[2] + u0 * right[2] + v0 * up[2], first[2] + u1 * right[2] + v1 * up[2]
-    if s0 <= LEAST_AWAY_M and s1 <= LEAST_AWAY_M:
+    if s0 <= MIN_AWAY_M and s1 <= MIN_AWAY_M:
         return
     if highest:
         _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m)
@@ -178,20 +178,20 @@ def _sight_quad(quad, alpha, sine, cosine, tangent, highest, found, n, m):
         return
     share = over / (over - under)
     s = s0 + share * (s1 - s0)
-    if LEAST_AWAY_M < s < found.distance[n] and _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
+    if MIN_AWAY_M < s < found.distance[n] and _is_leaf(alpha, u0 + share * (u1 - u0), v0 + share * (v1 - v0)):
         found.tangent[n], found.distance[n], found.number[n] = tangent, s, m
 
 
 @internal
 def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m):
     """Search a segment of a quad for a leaf, from its upper end to its lower one or to the highest leaf so far."""
-    if s0 < LEAST_AWAY_M or s1 < LEAST_AWAY_M:  # clip at the vertical through the eye
-        share = (LEAST_AWAY_M - s0) / (s1 - s0)
+    if s0 < MIN_AWAY_M or s1 < MIN_AWAY_M:  # clip at the vertical through the eye
+        share = (MIN_AWAY_M - s0) / (s1 - s0)
         u, v, z = u0 + share * (u1 - u0), v0 + share * (v1 - v0), z0 + share * (z1 - z0)
         if s0 < s1:
-            u0, v0, s0, z0 = u, v, LEAST_AWAY_M, z
+            u0, v0, s0, z0 = u, v, MIN_AWAY_M, z
         else:
-            u1, v1, s1, z1 = u, v, LEAST_AWAY_M, z
+            u1, v1, s1, z1 = u, v, MIN_AWAY_M, z
     if z0 * s1 < z1 * s0:
         u0, v0, s0, z0, u1, v1, s1, z1 = u1, v1, s1, z1, u0, v0, s0, z0
     if z0 <= found.tangent[n] * s0:

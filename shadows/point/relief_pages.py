@@ -146,12 +146,12 @@ class PagedRelief:
         row0, col0 = int(np.floor(row)), int(np.floor(col))
         fr, fc = row - row0, col - col0
         window = Surface(self.world, self.elevation, self.grid).height_window(row0, col0, 2, 2)
-        there = bool(window.there[near_row - row0, near_col - col0])
+        valid = bool(window.valid[near_row - row0, near_col - col0])
         nw, ne, sw, se = (float(v) for v in window.height_m.ravel())
         if fr == 0.0 or fc == 0.0:  # on an edge between two nodes: the other two may be NaN
             end, share = (sw, fr) if fc == 0.0 else (ne, fc)
-            return nw + share * (end - nw) if share else nw, there
-        return float(quad_height(nw, ne, sw, se, fr, fc)), there
+            return nw + share * (end - nw) if share else nw, valid
+        return float(quad_height(nw, ne, sw, se, fr, fc)), valid
 
 
 def paged_relief(scene: Scene) -> PagedRelief:

@@ -13,7 +13,7 @@ import numpy as np
 from skugga.shadows.point.directions import Directions, direction_range
 from skugga.terrain.compiled import compiled, internal
 
-LEAST_AWAY_M = 1e-6
+MIN_AWAY_M = 1e-6
 """Minimum distance in metres from the vertical through the eye; nearer segments are clipped there."""
 
 
@@ -122,11 +122,11 @@ def sight_piece(s0, z0, s1, z1, tangent, highest, found, n, m):
     """Test a straight segment in the plane of a direction, from one distance and height above the eye to another."""
     if s0 > s1:
         s0, z0, s1, z1 = s1, z1, s0, z0
-    if s1 <= LEAST_AWAY_M:
+    if s1 <= MIN_AWAY_M:
         return
-    if s0 < LEAST_AWAY_M:
-        z0 = z0 + (LEAST_AWAY_M - s0) / (s1 - s0) * (z1 - z0)
-        s0 = LEAST_AWAY_M
+    if s0 < MIN_AWAY_M:
+        z0 = z0 + (MIN_AWAY_M - s0) / (s1 - s0) * (z1 - z0)
+        s0 = MIN_AWAY_M
     if highest:
         for s, z in ((s0, z0), (s1, z1)):
             if z > found.tangent[n] * s:

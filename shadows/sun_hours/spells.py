@@ -9,8 +9,8 @@ to such a time, a new occluder has appeared or an old one has gone. Clearances t
 direct interpolation and the middle has the smallest error.
 
 This is a first estimate. With long steps it is refined: a walk finds the cell's horizon towards the sun at that moment
-(``skugga.shadows.sun_hours.sight_walks``). The method of false position then gives the next moment, ``MAX_WALKS`` times at most. The
-loops are compiled.
+(``skugga.shadows.sun_hours.sight_walks``). The method of false position then gives the next moment, ``MAX_WALKS`` times at most.
+The loops are compiled.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ SAMPLED_CELLS = 1000
 TRACK_MIN = 15
 """Minutes during which the sun's path is approximated by a parabola."""
 
-MOST_MISSED_MIN = 0.006
+MAX_MISSED_MIN = 0.006
 """Upper bound of the mean minutes a day that long steps may miss.
 
 Mountains have 0.000 to 0.005, cities 0.02 to 0.06, and surfaces of woods 0.05 to 0.19.
@@ -44,7 +44,7 @@ def sampling_step_min(scene: Scene, nodes: BareNodes, day: WindowSun, least_alti
     Ground beside the block is ignored: it is far from most cells, and distant ground casts long-lasting shadows.
     """
     missed_min = missed_minutes(lit_by_minute(scene, nodes, day, least_altitude_deg, height_m), int(LONG_STEP_MIN))
-    return LONG_STEP_MIN if missed_min.mean() <= MOST_MISSED_MIN else SHORT_STEP_MIN
+    return LONG_STEP_MIN if missed_min.mean() <= MAX_MISSED_MIN else SHORT_STEP_MIN
 
 
 def lit_by_minute(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:

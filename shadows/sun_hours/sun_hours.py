@@ -42,7 +42,7 @@ from skugga.terrain.casters.reach import Patch, find_sun_casters
 from skugga.terrain.compiled import CORES
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
-from skugga.terrain.gbuffer.supersampling import is_bare
+from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.sun import Sun
 from skugga.terrain.geo.world import transformer
@@ -156,7 +156,7 @@ def sun_hours(
         The errors of the algorithms.
     """
     scene = _under_clear_sky(scene)
-    if is_bare(scene) and view.on_nodes:
+    if is_terrain_only(scene) and view.on_nodes:
         block: _TerrainBlock | _RenderedBlock = _TerrainBlock(scene, bare_nodes(scene, view, 1), rules)
     elif rules.height_m:
         raise InputError("height", rules.height_m, "0, where objects stand on the ground")
@@ -299,7 +299,7 @@ class _RenderedBlock:
 
     def valid(self) -> np.ndarray:
         """Return the valid mask: cells (rows, cols) that show a surface."""
-        return self._render(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).there
+        return self._render(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).valid
 
     def step_min(self, day: WindowSun) -> float:
         """Return the minutes between two pictures; the same for all days."""

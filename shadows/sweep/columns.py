@@ -227,11 +227,11 @@ def _numbered(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tupl
 
     Pixels of one column, among ``cells`` columns, share a point. Each pixel that shows anything else has its own.
     """
-    there, ground = buffer.there.ravel(), (buffer.there & (buffer.kind == RELIEF)).ravel()
-    key = np.full(there.size, -1, np.int64)
+    valid, ground = buffer.valid.ravel(), (buffer.valid & (buffer.kind == RELIEF)).ravel()
+    key = np.full(valid.size, -1, np.int64)
     cell = placed.row.astype(np.int64) * placed.window.height_m.shape[1] + placed.col
     key[ground] = cell.ravel()[ground]
-    others = np.flatnonzero(there & ~ground)
+    others = np.flatnonzero(valid & ~ground)
     key[others] = cells + np.arange(len(others))
     shown = np.full(cells + len(others) + 1, -1, np.int64)  # the last one stands for pixels that show nothing
     shown[key] = np.arange(key.size)
@@ -239,7 +239,7 @@ def _numbered(buffer: GeometryBuffer, placed: ColumnIndices, cells: int) -> tupl
     used = np.flatnonzero(shown >= 0)
     number = np.full(len(shown), -1, np.int64)
     number[used] = np.arange(len(used))
-    return number[key].reshape(buffer.there.shape), shown[used]
+    return number[key].reshape(buffer.valid.shape), shown[used]
 
 
 def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[int, int, np.ndarray]]) -> ColumnGround:

@@ -214,9 +214,9 @@ def bordered(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a new float32 grid (n, m + 2) and its view without the border columns, to be filled in.
 
-    The rows ``filled_rows`` are NaN, except for the window ``window_to_fill``, which the caller fills in. That window and all other rows are
-    uninitialised. A line that enters across the left border meets the NaN at its end. Lines only leave across the right border. It
-    repeats the last column (``close_border``), so that the last nodes have a line on either side.
+    The rows ``filled_rows`` are NaN, except for the window ``window_to_fill``, which the caller fills in. That window and all other
+    rows are uninitialised. A line that enters across the left border meets the NaN at its end. Lines only leave across the right
+    border. It repeats the last column (``close_border``), so that the last nodes have a line on either side.
     """
     with_border = np.empty((n, m + 2), np.float32)
     begin, end, _ = filled_rows.indices(n)

@@ -128,7 +128,9 @@ def sweep_rows(sheet, strip, first, last, shade, lit, points):
 
 @internal
 def _run_along(p, low, high, times):
-    """Return the maximum length of a run from ``low`` to ``high``: over it, ``times`` the cubic bends by ``LINEARITY_TOLERANCE`` at most."""
+    """Return the maximum length of a run from ``low`` to ``high``: over it, ``times`` the cubic bends by ``LINEARITY_TOLERANCE`` at
+    most.
+    """
     bend = times * max(abs(2.0 * p[2] + 6.0 * p[3] * low), abs(2.0 * p[2] + 6.0 * p[3] * high))
     return RUN if bend * RUN * RUN <= 8.0 * LINEARITY_TOLERANCE else max(int(np.sqrt(8.0 * LINEARITY_TOLERANCE / bend)), 2)
 
@@ -179,8 +181,8 @@ def _advance(above, below, here, further, lines, cuts, first_cell, line_max, k):
 def _raise_run(above, below, cuts, column, line_max, cell, count, f0, f1, s0, s1, crosses):
     """Raise ``count`` lines to the levels that they meet from a row on and before the next one.
 
-    The run starts at ``column`` of the row and at ``cell`` of ``line_max``. Within their cells the lines' positions go from ``f0`` to
-    ``f1``; their shifts until the next row go from ``s0`` to ``s1``.
+    The run starts at ``column`` of the row and at ``cell`` of ``line_max``. Within their cells the lines' positions go from ``f0``
+    to ``f1``; their shifts until the next row go from ``s0`` to ``s1``.
     """
     if f0 == 0.0 and f1 == 0.0:  # on nodes: a missing right neighbour has no effect
         _raise_to_segments(above, column, column, above, column, line_max, cell, count, ON_NODE, ON_NODE)

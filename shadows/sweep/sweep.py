@@ -58,7 +58,7 @@ LEVEL_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
 STRIPS = 16
 """Horizontal strips of the sun's disc for its penumbra."""
 
-LEAST_LINES = 2
+MIN_LINES = 2
 """Minimum number of lines per column of supersampled nodes: a whole pixel has as many lines as it has without supersampling."""
 
 
@@ -102,8 +102,8 @@ def fill(
     """
     (sweep_pass,) = log.named(light, kinds, PASSES)
     with log.run(sweep_pass) as record:
-        if not buffer.there.any():
-            return np.ones(buffer.there.shape, np.float32)
+        if not buffer.valid.any():
+            return np.ones(buffer.valid.shape, np.float32)
         soft = settings.filter == "sun"
         if buffer.columns is not None:
             return _fill_columns(buffer, scene, light, casters, strips_of_sun(STRIPS) if soft else np.zeros(1), log, record)
@@ -113,7 +113,7 @@ def fill(
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft))
         if not soft:
             return _lit_mask(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
-        visibility = np.zeros(buffer.there.shape, np.float32)
+        visibility = np.zeros(buffer.valid.shape, np.float32)
         for angle in strips_of_sun(STRIPS):
             visibility += _lit_mask(rays, grounds, targets, settings.lines, angle)
         return visibility / np.float32(STRIPS)
@@ -124,7 +124,7 @@ def _fill_columns(
 ) -> np.ndarray:
     """Do as ``fill``, for a map of columns, under suns that are higher by some angles in radians."""
     over = column_sweep(buffer, scene, casters)
-    visibility = np.zeros(buffer.there.shape, np.float32)
+    visibility = np.zeros(buffer.valid.shape, np.float32)
     for angle in angles:
         visibility += over.above_m(angle, False, CORES) <= 0.0
 
@@ -156,7 +156,7 @@ def fill_nodes(
         rays = rays_at(scene, nodes.view.grid, *nodes.view.centre_node)
         grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, culled=casters.culled)
         targets = _targets_of_nodes(rays, grounds[-1], nodes)
-        lines = max(settings.lines // nodes.per_pixel, LEAST_LINES)
+        lines = max(settings.lines // nodes.per_pixel, MIN_LINES)
         lit, _, _ = _sweep_grounds(grounds, targets, lines, 0.0, NO_LEVELS)
         log.keep("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
@@ -267,7 +267,7 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
 
 def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
     """Return the minimum and maximum t of receivers, extended by one cell."""
-    low, high = light_bounds(receivers.position_frame_m, receivers.there, *rays.light.from_frame(receivers.frame))
+    low, high = light_bounds(receivers.position_frame_m, receivers.valid, *rays.light.from_frame(receivers.frame))
     ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
     return ends[0] - 1.0, ends[1] + 1.0
 
@@ -291,8 +291,8 @@ def _targets_of_buffer(rays: SunRays, ground: GroundWindow, buffer: GeometryBuff
     view = buffer.view
     on_nodes = isinstance(view, MapView) and view.on_nodes
     on_triangles = buffer.kind == RELIEF if buffer.lifted is None else (buffer.kind == RELIEF) & ~buffer.lifted
-    nodes = buffer.there & on_triangles & on_nodes
-    off_nodes = buffer.there & ~nodes
+    nodes = buffer.valid & on_triangles & on_nodes
+    off_nodes = buffer.valid & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))
     pixels = np.flatnonzero(off_nodes)
     t, level_m, towards_m = rays.ray_coordinates(buffer.position_frame_m, buffer.frame, pixels)

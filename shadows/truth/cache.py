@@ -27,7 +27,7 @@ from skugga.terrain.user_cache import load_arrays, user_cache
 TRUTH_CACHE_BYTES = 512 * 2**20
 """Size limit of the folder. Beyond it the least recently used files are deleted."""
 
-_FIELDS = ("lit", "attached", "decidable", "there")
+_FIELDS = ("lit", "attached", "decidable", "valid")
 
 
 DEFINITION = 3
@@ -46,7 +46,7 @@ def cached_truth(
     """Return ``trace_truth``, from the disk cache if possible. A read-only folder is no error."""
     folder = folder or user_cache("truth")
     path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
-    shape = buffer.there.shape
+    shape = buffer.valid.shape
     kept = load_arrays(path)
     if kept is not None:
         with suppress(KeyError, ValueError):  # replace a file of another format
@@ -83,7 +83,7 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples:
         parts += [vertices, triangles]
     for sheet in caster_sheets(scene, buffer, casters, ALL_KINDS):
         parts += [sheet.position_frame_m, sheet.falls]
-    for array in (to_light, buffer.there, buffer.position_frame_m, *parts):
+    for array in (to_light, buffer.valid, buffer.position_frame_m, *parts):
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 

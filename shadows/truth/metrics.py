@@ -18,7 +18,7 @@ from skugga.terrain.compiled import compiled, internal
 INTERIOR_PX = 2.0
 """Minimum distance of interior errors from truth's boundary, pixels. It is also at least two texel footprints."""
 
-MOST_INTERIOR = 0.001
+MAX_INTERIOR = 0.001
 """Upper bound of the share of decidable pixels that are interior errors. A larger share is a failure, not aliasing."""
 
 MIN_PART_PX = 8
@@ -27,7 +27,7 @@ MIN_PART_PX = 8
 COVERAGE_BLOCK_PX = 16
 """Side of the blocks in which coverage is compared."""
 
-LEAST_SIGHT = 0.2
+MIN_SIGHT = 0.2
 """Minimum share of the cast shadow that a metric must cover. Below it, the metric does not test the picture."""
 
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
@@ -114,8 +114,8 @@ def metric_coverage(dark: np.ndarray, truth: Truth, region: np.ndarray) -> Metri
 
     ``dark`` is the algorithm's class (rows, cols), True in shadow; ``region`` the metric's mask (rows, cols).
     """
-    comparable, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.there
-    dark, cast = dark & truth.there, comparable & true_dark
+    comparable, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.valid
+    dark, cast = dark & truth.valid, comparable & true_dark
     counts = cast, cast & region, comparable & (dark != true_dark), comparable & (dark | true_dark)
     return MetricCoverage(*(int(np.count_nonzero(each)) for each in counts))
 
@@ -124,11 +124,11 @@ def edge_metric_coverage(dark: np.ndarray, truth: Truth) -> MetricCoverage:
     """Return the shadow that the edge metric covers: the boundary of the components of true shadow that ``dark`` overlaps."""
     from scipy.ndimage import label
 
-    comparable, true_dark = truth.there & ~truth.attached, ~truth.lit & truth.there
+    comparable, true_dark = truth.valid & ~truth.attached, ~truth.lit & truth.valid
     whole_picture = metric_coverage(dark, truth, true_dark)
-    edge = boundary(true_dark, truth.there) & comparable
+    edge = boundary(true_dark, truth.valid) & comparable
     parts, _ = label(true_dark, structure=_SQUARE)
-    overlapping = np.unique(parts[true_dark & dark & truth.there])
+    overlapping = np.unique(parts[true_dark & dark & truth.valid])
     seen = edge & np.isin(parts, overlapping[overlapping > 0])
     return MetricCoverage(int(edge.sum()), int(seen.sum()), whole_picture.wrong_px, whole_picture.either_px)
 
@@ -163,13 +163,13 @@ def error_metrics(
     from scipy.ndimage import label
 
     if true_visibility is None:
-        true_visibility = np.where(truth.there, truth.lit, np.nan)
+        true_visibility = np.where(truth.valid, truth.lit, np.nan)
     decidable = truth.decidable
-    dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & truth.there
-    true_dark = ~truth.lit & truth.there
+    dark = (np.nan_to_num(visibility, nan=1.0) < 0.5) & truth.valid
+    true_dark = ~truth.lit & truth.valid
     wrong = decidable & (dark != true_dark)
     cast = decidable & (dark | true_dark) & ~truth.attached
-    distances = edge_distances(dark, true_dark, truth.there)
+    distances = edge_distances(dark, true_dark, truth.valid)
     region = interior_region(truth, texel_footprint_px)
     inside = wrong & region
     parts, count = label(inside, structure=_SQUARE)
@@ -192,7 +192,7 @@ def error_metrics(
     )
 
 
-def edge_distances(dark: np.ndarray, true_dark: np.ndarray, there: np.ndarray) -> np.ndarray:
+def edge_distances(dark: np.ndarray, true_dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Return the distances (n,) in pixels, in both directions, between boundaries of overlapping shadow components.
 
     A component without overlap in the other picture is missed or false shadow. It counts in ``interior``, not here.
@@ -204,30 +204,30 @@ def edge_distances(dark: np.ndarray, true_dark: np.ndarray, there: np.ndarray) -
     for near, far in ((dark, true_dark), (true_dark, dark)):
         parts, _ = label(near, structure=_SQUARE)
         shared = np.unique(parts[far & near])
-        edges.append(boundary(np.isin(parts, shared[shared > 0]), there))
+        edges.append(boundary(np.isin(parts, shared[shared > 0]), valid))
     if not (edges[0].any() and edges[1].any()):
         return np.zeros(0)
     near, far = (np.argwhere(edge) for edge in edges)
     return np.concatenate([KDTree(b).query(a)[0] for a, b in ((near, far), (far, near))])
 
 
-def boundary(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
+def boundary(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Return the mask of shadow pixels with a lit 4-neighbour. Borders of the surface and the picture are no boundary."""
     from scipy.ndimage import binary_dilation
 
-    return dark & binary_dilation(there & ~dark, structure=_CROSS)
+    return dark & binary_dilation(valid & ~dark, structure=_CROSS)
 
 
-def interior(wrong: np.ndarray, true_dark: np.ndarray, there: np.ndarray, distance_px: float | np.ndarray) -> np.ndarray:
+def interior(wrong: np.ndarray, true_dark: np.ndarray, valid: np.ndarray, distance_px: float | np.ndarray) -> np.ndarray:
     """Return the mask of wrong pixels farther than a distance from truth's boundary; all of them if truth has no boundary."""
-    return wrong & (distance_to_edges_px(true_dark, there) > distance_px)
+    return wrong & (distance_to_edges_px(true_dark, valid) > distance_px)
 
 
-def distance_to_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
+def distance_to_edges_px(dark: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Return each pixel's distance (rows, cols) to the nearest pixel at either side of a shadow boundary; infinite without any."""
     from scipy.ndimage import distance_transform_edt
 
-    edge = boundary(dark, there) | boundary(there & ~dark, there)
+    edge = boundary(dark, valid) | boundary(valid & ~dark, valid)
     return distance_transform_edt(~edge) if edge.any() else np.full(dark.shape, np.inf)
 
 
@@ -238,12 +238,12 @@ def edge_test_region(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, 
     return out
 
 
-def far_from_edges(dark: np.ndarray, there: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
+def far_from_edges(dark: np.ndarray, valid: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
     """Return the mask (n,) of pixels farther than distances (n,) from both sides of any shadow boundary (``distance_to_edges_px``).
 
     It reads only the classes in the mask of ``edge_test_region``.
     """
-    return _far_from_edges(dark, there, row, col, distance_px)
+    return _far_from_edges(dark, valid, row, col, distance_px)
 
 
 @compiled
@@ -257,7 +257,7 @@ def _mark_round(row, col, distance, out):
 
 
 @compiled
-def _far_from_edges(dark, there, row, col, distance):
+def _far_from_edges(dark, valid, row, col, distance):
     rows, cols = dark.shape
     out = np.ones(len(row), np.bool_)
     for n in range(len(row)):
@@ -265,7 +265,7 @@ def _far_from_edges(dark, there, row, col, distance):
         for i in range(max(row[n] - reach, 0), min(row[n] + reach + 1, rows)):
             for j in range(max(col[n] - reach, 0), min(col[n] + reach + 1, cols)):
                 near = (i - row[n]) ** 2 + (j - col[n]) ** 2 <= distance[n] * distance[n]
-                if near and there[i, j] and _is_edge(dark, there, i, j):
+                if near and valid[i, j] and _is_edge(dark, valid, i, j):
                     out[n] = False
                     break
             if not out[n]:
@@ -274,22 +274,22 @@ def _far_from_edges(dark, there, row, col, distance):
 
 
 @internal
-def _is_edge(dark, there, i, j):
+def _is_edge(dark, valid, i, j):
     """Return whether a 4-neighbour of a pixel has the other class."""
     rows, cols = dark.shape
     own = dark[i, j]
     return (
-        (i > 0 and there[i - 1, j] and dark[i - 1, j] != own)
-        or (i + 1 < rows and there[i + 1, j] and dark[i + 1, j] != own)
-        or (j > 0 and there[i, j - 1] and dark[i, j - 1] != own)
-        or (j + 1 < cols and there[i, j + 1] and dark[i, j + 1] != own)
+        (i > 0 and valid[i - 1, j] and dark[i - 1, j] != own)
+        or (i + 1 < rows and valid[i + 1, j] and dark[i + 1, j] != own)
+        or (j > 0 and valid[i, j - 1] and dark[i, j - 1] != own)
+        or (j + 1 < cols and valid[i, j + 1] and dark[i, j + 1] != own)
     )
 
 
 @cached("light", 512 * MIB)
 def _distance_to_edges_px(truth: Truth) -> np.ndarray:
     """Return ``distance_to_edges_px`` of a truth, cached because many pictures are compared with it."""
-    return distance_to_edges_px(~truth.lit & truth.there, truth.there)
+    return distance_to_edges_px(~truth.lit & truth.valid, truth.valid)
 
 
 def block_shares(shadow_share: np.ndarray) -> np.ndarray:

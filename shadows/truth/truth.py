@@ -67,24 +67,24 @@ class Truth:
         Pixels in attached shadow: their normal does not face the light.
     decidable
         Pixels where an algorithm can be compared with truth.
-    there
+    valid
         Pixels with a surface.
     """
 
     lit: np.ndarray
     attached: np.ndarray
     decidable: np.ndarray
-    there: np.ndarray
+    valid: np.ndarray
 
     @property
     def boundary(self) -> float:
         """Share of undecidable pixels of the surface; 0 without a surface."""
-        return float(1.0 - self.decidable.sum() / self.there.sum()) if self.there.any() else 0.0
+        return float(1.0 - self.decidable.sum() / self.valid.sum()) if self.valid.any() else 0.0
 
     @property
     def cast(self) -> float:
         """Share of the surface's pixels in cast shadow (attached shadow excluded); 0 without a surface."""
-        return float((self.there & ~self.attached & ~self.lit).sum() / self.there.sum()) if self.there.any() else 0.0
+        return float((self.valid & ~self.attached & ~self.lit).sum() / self.valid.sum()) if self.valid.any() else 0.0
 
 
 def fill(
@@ -137,20 +137,20 @@ def trace_truth(
     nodes
         Ground nodes that the sub-samples share, if already computed (``sample_nodes``).
     """
-    dark = np.zeros(buffer.there.shape, bool)
-    is_attached = attached(buffer, scene, light) & buffer.there
-    if (light == SUN and not scene.sun_is_up) or not buffer.there.any():
-        return Truth(dark, is_attached, buffer.there.copy(), buffer.there)
+    dark = np.zeros(buffer.valid.shape, bool)
+    is_attached = attached(buffer, scene, light) & buffer.valid
+    if (light == SUN and not scene.sun_is_up) or not buffer.valid.any():
+        return Truth(dark, is_attached, buffer.valid.copy(), buffer.valid)
     rays = rays or ray_scene(buffer, scene, casters, kinds)
     lit = lit_mask(buffer, scene, light, rays)
-    decidable = buffer.there.copy()
+    decidable = buffer.valid.copy()
     for offset_factor in (2.0, 4.0):
         decidable &= lit_mask(buffer, scene, light, rays, offset_factor) == lit
     nodes = nodes or sample_nodes(buffer, scene, samples)
     for view in jittered_views(buffer.view, samples):
         sample = geometry_buffer(scene, view, buffer.frame, nodes=nodes)
-        decidable &= sample.there & (lit_mask(sample, scene, light, rays) == lit)
-    return Truth(lit, is_attached, decidable, buffer.there)
+        decidable &= sample.valid & (lit_mask(sample, scene, light, rays) == lit)
+    return Truth(lit, is_attached, decidable, buffer.valid)
 
 
 def sample_nodes(buffer: GeometryBuffer, scene: Scene, samples: int) -> MapNodes | None:
@@ -166,7 +166,7 @@ def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayS
     """
     if samples == 1 or (light != SUN and scene.lamps[light].radius_m == 0.0):
         return lit_mask(buffer, scene, light, rays).astype(np.float32)
-    visibility = np.zeros(buffer.there.shape, np.float32)
+    visibility = np.zeros(buffer.valid.shape, np.float32)
     if light == SUN:
         assert scene.sun is not None
         for direction in sun_disc(scene.sun.in_frame(buffer.frame), samples):
@@ -179,7 +179,7 @@ def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: R
     """Return the visibility float32 (rows, cols) of a spherical lamp, all points of which shine into the lamp's cone."""
     lamp, source = scene.lamps[light], scene.light_position(light, buffer.frame)
     _, axis, _ = lamp.in_frame(buffer.frame)
-    buffer, visibility = move_to_smooth_ground(buffer, source), np.zeros(buffer.there.shape, np.float32)
+    buffer, visibility = move_to_smooth_ground(buffer, source), np.zeros(buffer.valid.shape, np.float32)
     to_lamp = np.array(source[:3]) - buffer.position_frame_m
     towards = to_lamp / np.linalg.norm(to_lamp, axis=-1, keepdims=True)
     right = np.cross(towards, np.where(np.abs(towards[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
@@ -191,7 +191,7 @@ def _sphere_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: R
         length = np.linalg.norm(ray, axis=-1)
         towards = (normals.normal_frame * ray).sum(axis=-1)
         facing = np.where(buffer.kind == FOREST, np.abs(towards), towards) > MIN_LIGHT_SINE * length
-        inside = buffer.there & facing & (-(ray @ axis) >= cosine * length)
+        inside = buffer.valid & facing & (-(ray @ axis) >= cosine * length)
         visibility += _unblocked_mask(buffer, rays, inside, normals, ray, 1.0)
     return visibility / np.float32(samples)
 
@@ -211,9 +211,9 @@ def coverage_truth(
     At most ``blocks`` blocks with a surface are sampled, stratified over the picture. A pixel has ``samples`` (a square number)
     regular sub-samples. ``rays`` is as in ``trace_truth``.
     """
-    shape = tuple(size // block_px for size in buffer.there.shape)
+    shape = tuple(size // block_px for size in buffer.valid.shape)
     out = np.full(shape, np.nan)
-    has_surface = buffer.there[: shape[0] * block_px, : shape[1] * block_px]
+    has_surface = buffer.valid[: shape[0] * block_px, : shape[1] * block_px]
     has_surface = np.any(has_surface.reshape(shape[0], block_px, shape[1], block_px), axis=(1, 3))
     candidates = np.flatnonzero(has_surface)
     if not len(candidates) or (light == SUN and scene.sun is None):
@@ -230,8 +230,8 @@ def coverage_truth(
             continue
         fine = buffer.view.part(i * block_px, j * block_px, block_px, block_px).finer(side)
         sample = geometry_buffer(scene, fine, buffer.frame)
-        if sample.there.any():
-            out[i, j] = 1.0 - lit_mask(sample, scene, light, rays)[sample.there].mean()
+        if sample.valid.any():
+            out[i, j] = 1.0 - lit_mask(sample, scene, light, rays)[sample.valid].mean()
     return out
 
 
@@ -243,10 +243,10 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
     of the surface, and each ground's own points. It is 0 without a sun.
     """
     view = buffer.view
-    if not buffer.there.any() or not scene.sun_is_up:
+    if not buffer.valid.any() or not scene.sun_is_up:
         return 0.0
     rows, cols = min(size_px, view.rows), min(size_px, view.cols)
-    middle = [int(np.median(index)) for index in np.nonzero(buffer.there)]
+    middle = [int(np.median(index)) for index in np.nonzero(buffer.valid)]
     row, col = (
         int(np.clip(m - side // 2, 0, size - side))
         for m, side, size in zip(middle, (rows, cols), (view.rows, view.cols), strict=True)
@@ -258,7 +258,7 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
         return 0.0
     else:
         buffers = geometry_buffer(scene, part, buffer.frame), geometry_buffer(scene, part, buffer.frame, UNLIMITED_TRIANGLES)
-    if not all(caster_buffer.there.any() for caster_buffer in buffers):
+    if not all(caster_buffer.valid.any() for caster_buffer in buffers):
         return 0.0
     # All blocks of a map share its nodes, so the cached rays of the whole buffer serve its part, too.
     caster_buffers = (buffer if isinstance(part, MapView) else buffers[0], buffers[1])
@@ -267,8 +267,8 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
         for caster_buffer in caster_buffers
     )
     lit = [lit_mask(caster_buffer, scene, SUN, buffer_rays) for caster_buffer, buffer_rays in zip(buffers, rays, strict=True)]
-    there = buffers[0].there & buffers[1].there
-    return float((lit[0] != lit[1])[there].mean()) if there.any() else 0.0
+    valid = buffers[0].valid & buffers[1].valid
+    return float((lit[0] != lit[1])[valid].mean()) if valid.any() else 0.0
 
 
 def _full_detail(scene: Scene, part: MapView) -> MapView:
@@ -291,7 +291,7 @@ def ray_scene(
     trees = caster_trees(buffer, kinds)
     if trees is not None and scene.light is not None and not scene.lamps:
         rotation, translation = scene.light.from_frame(buffer.frame)
-        low, high = light_bounds(buffer.position_frame_m, buffer.there, rotation, translation)
+        low, high = light_bounds(buffer.position_frame_m, buffer.valid, rotation, translation)
         pixel_m = 2.0 * max_pixel_m(buffer)  # sub-samples lie beside the pixels' points
         trees = occluding_trees(trees, rotation, translation, low - pixel_m, high + pixel_m)
     alpha = [] if trees is None or not len(trees) else [trees_as_mesh(trees)]
@@ -302,7 +302,7 @@ def max_pixel_m(buffer: GeometryBuffer) -> float:
     """Return the largest side of a buffer's pixels on a surface that faces the viewer, metres."""
     if isinstance(buffer.view, PerspectiveView):
         eye, _ = buffer.view.in_frame(buffer.frame)
-        return float(np.linalg.norm(buffer.position_frame_m[buffer.there] - eye, axis=-1).max(initial=0.0)) * buffer.view.pixel
+        return float(np.linalg.norm(buffer.position_frame_m[buffer.valid] - eye, axis=-1).max(initial=0.0)) * buffer.view.pixel
     steps = np.diff(buffer.position_frame_m[:: max(buffer.view.rows - 1, 1)], axis=1)
     sides_m = np.linalg.norm(steps, axis=-1)
     return float(np.nanmax(sides_m, initial=0.0))
@@ -316,12 +316,12 @@ def lit_mask(
     offset_factor: float = 1.0,
     receiver_mask: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the mask (rows, cols) of a buffer's points that see a light, False off the surface and outside of ``receiver_mask``."""
+    """Return the mask (rows, cols) of a buffer's points that see a light; False off the surface and outside ``receiver_mask``."""
     if light == SUN:
         assert scene.sun is not None
         return lit_mask_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offset_factor, receiver_mask)
     source = scene.light_position(light, buffer.frame)
-    facing = buffer.there & ~attached(buffer, scene, light)
+    facing = buffer.valid & ~attached(buffer, scene, light)
     if receiver_mask is not None:
         facing &= receiver_mask
     buffer = move_to_smooth_ground(buffer, source)
@@ -337,7 +337,7 @@ def _unblocked_mask(
     length = np.linalg.norm(way, axis=-1)
     way /= length[:, None]
     start = _offset_origins(buffer, facing, normals, way, offset_factor * rays.offset_m)
-    out = np.zeros(buffer.there.shape, bool)
+    out = np.zeros(buffer.valid.shape, bool)
     out[facing] = ~rays.blocked(start, way, length)
     return out
 
@@ -357,11 +357,11 @@ def lit_mask_towards(
     source = light_position(direction, 0.0)
     buffer = move_to_smooth_ground(buffer, source)
     normals = facing_normals(buffer, source)
-    facing = buffer.there & ~faces_away(normals.normal_frame, buffer.kind == FOREST, direction)
+    facing = buffer.valid & ~faces_away(normals.normal_frame, buffer.kind == FOREST, direction)
     if receiver_mask is not None:
         facing &= receiver_mask
     start = _offset_origins(buffer, facing, normals, direction, offset_factor * rays.offset_m)
-    out = np.zeros(buffer.there.shape, bool)
+    out = np.zeros(buffer.valid.shape, bool)
     out[facing] = ~rays.blocked(start, direction)
     return out
 

@@ -124,9 +124,9 @@ def visible_silhouettes(buffer: GeometryBuffer, scene: Scene, volumes: list[Volu
 def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], counting: Counting) -> np.ndarray:
     import moderngl
 
-    gl, out = device(), np.zeros(buffer.there.shape, np.uint8)
+    gl, out = device(), np.zeros(buffer.valid.shape, np.uint8)
     lines = counting == "seen"
-    for points in pixel_points(buffer, scene, buffer.there, near_plane_m(buffer)):
+    for points in pixel_points(buffer, scene, buffer.valid, near_plane_m(buffer)):
         full_rectangle = np.array([[0, 0, points.size[1], points.size[0]]])
         with receiver_stencil(gl, buffer, scene, points, full_rectangle, False) as (target, program):
             if lines:

@@ -18,10 +18,10 @@ from skugga.terrain.errors import InputError
 MAX_STENCIL_LAYERS = 255
 """The largest number of layers that a stencil of 8 bits holds."""
 
-MOST_LUNES = 4096
+MAX_LUNES = 4096
 """Upper bound of the number of lunes into which directions are cut."""
 
-LEAST_LUNES = 16
+MIN_LUNES = 16
 """Lower bound of the number of lunes in a full circle. Each lune must remain well below a half-circle."""
 
 LINES_PER_EDGE = 0.5
@@ -164,7 +164,7 @@ def _most_seen(directions: np.ndarray, edges: np.ndarray, times: np.ndarray) -> 
     if not span:
         return 0
     lines = LINES_PER_EDGE * len(times) * span / max(float(np.abs(turn).sum()), 1e-9)
-    lunes = int(np.clip(lines, np.ceil(LEAST_LUNES * span / (2.0 * np.pi)), MOST_LUNES))
+    lunes = int(np.clip(lines, np.ceil(MIN_LUNES * span / (2.0 * np.pi)), MAX_LUNES))
     lune = np.minimum((azimuth - first) / span * lunes, lunes - 1.0).astype(np.int32)[edges]
     place, step = _steps(directions, edges, times, lune, turn > 0.0, first, span / lunes, lunes)
     order = np.argsort(place)

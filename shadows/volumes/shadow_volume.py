@@ -47,7 +47,7 @@ def fill(
     log.keep("silhouettes", light, visible_silhouettes, buffer, scene, volumes)
     log.keep("volumes", light, faces_in_front, buffer, scene, volumes)
     with log.run(stencil_pass) as record:
-        wanted = buffer.there & ~attached(buffer, scene, light)
+        wanted = buffer.valid & ~attached(buffer, scene, light)
         counts = count(buffer, scene, light_frame, volumes, settings, wanted, False, record)
     log.keep("stencil", light, counts.copy)
     return np.where(counts > 0, np.float32(0.0), np.float32(1.0))

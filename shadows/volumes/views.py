@@ -261,5 +261,5 @@ def near_plane_m(buffer: GeometryBuffer) -> float:
     if isinstance(buffer.view, MapView):
         return 0.0
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)
-    low, _ = light_bounds(buffer.position_frame_m, buffer.there, camera_from_frame, -camera_from_frame @ eye)
+    low, _ = light_bounds(buffer.position_frame_m, buffer.valid, camera_from_frame, -camera_from_frame @ eye)
     return max(0.5 * float(low[2]), NEAR_M) if np.isfinite(low[2]) else NEAR_M

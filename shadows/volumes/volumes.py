@@ -142,12 +142,12 @@ def _has_gaps(height_m: np.ndarray) -> bool:
     return has_gaps(np.isfinite(height_m))
 
 
-def has_gaps(there: np.ndarray) -> bool:
+def has_gaps(valid: np.ndarray) -> bool:
     """Return whether the valid nodes (rows, cols) of any row or column are interrupted."""
-    if there.all():
+    if valid.all():
         return False
     return any(
-        bool((np.diff(np.pad(there.T if turned else there, ((0, 0), (1, 0))).astype(np.int8), axis=1) > 0).sum(axis=1).max() > 1)
+        bool((np.diff(np.pad(valid.T if turned else valid, ((0, 0), (1, 0))).astype(np.int8), axis=1) > 0).sum(axis=1).max() > 1)
         for turned in (False, True)
     )
 
@@ -223,11 +223,11 @@ def _heights_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) ->
 
 def _sheet_volumes(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
     position = sheet.position_frame_m
-    there = np.isfinite(position[..., 2])
-    if not there.any():
+    valid = np.isfinite(position[..., 2])
+    if not valid.any():
         return []
-    valid_position = position[there]
-    outline = sheet_silhouette(sheet, light, "all" if has_gaps(there) else "turned_away")
+    valid_position = position[valid]
+    outline = sheet_silhouette(sheet, light, "all" if has_gaps(valid) else "turned_away")
     if not len(outline.caps):
         return []
     vertices = np.nan_to_num(position.reshape(-1, 3))

@@ -47,8 +47,8 @@ def fine_cells(
 ) -> FineCells | None:
     """Return the finer cells of the overview's cells that the mask ``parents`` (rows, cols) selects.
 
-    ``parent_extent`` holds columns and half extents (n,) of the selected cells. Columns repeat after ``period``. ``None`` if the level
-    has no finer cells.
+    ``parent_extent`` holds columns and half extents (n,) of the selected cells. Columns repeat after ``period``. ``None`` if the
+    level has no finer cells.
     """
     overview, elevation = scene.elevation.overview, scene.elevation
     if overview.fine_high_m is None:

@@ -49,7 +49,7 @@ FULL_DETAIL_NODES = 4096
 detail, and so on.
 """
 
-NODES_PER_CELL, LEAST_DETAIL_NODES = 16, 2 * PATCH_QUADS
+NODES_PER_CELL, MIN_DETAIL_NODES = 16, 2 * PATCH_QUADS
 """Grid nodes per side of a raster cell above which full detail ends sooner, in proportion, and the minimum distance in nodes at
 which it ends. Denser nodes show the raster's bilinear ground and nothing new. Otherwise maps of centimetres would read millions
 of patches.
@@ -114,7 +114,7 @@ RAY_STARTS = 64
 class Receivers(Protocol):
     """Points that can be shaded.
 
-    They are points (rows, cols, 3) in a frame with the valid mask ``there``, and a map's ground. A geometry buffer is one.
+    They are points (rows, cols, 3) in a frame with the valid mask ``valid``, and a map's ground. A geometry buffer is one.
     """
 
     @property
@@ -124,7 +124,7 @@ class Receivers(Protocol):
     def frame(self) -> LocalFrame: ...
 
     @property
-    def there(self) -> np.ndarray: ...
+    def valid(self) -> np.ndarray: ...
 
     @property
     def position_frame_m(self) -> np.ndarray: ...
@@ -170,7 +170,7 @@ def find_casters(scene: Scene, buffer: GeometryBuffer) -> Casters:
     """
     if not isinstance(buffer.view, MapView):
         return Casters((), find_reach(scene, buffer))
-    towards_lamps = _lamp_patches(scene, buffer) if buffer.there.any() else ()
+    towards_lamps = _lamp_patches(scene, buffer) if buffer.valid.any() else ()
     if not _sun_shines(scene, buffer):
         return Casters(towards_lamps, NO_CASTERS.reach)
     patches, caster_m = _patches(scene, buffer)
@@ -199,7 +199,7 @@ def find_sun_casters(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
 
 
 def _sun_shines(scene: Scene, buffer: Receivers) -> bool:
-    return scene.light is not None and scene.sun_is_up and bool(buffer.there.any())
+    return scene.light is not None and scene.sun_is_up and bool(buffer.valid.any())
 
 
 def _shading_cells(scene: Scene, buffer: Receivers) -> np.ndarray:
@@ -214,7 +214,7 @@ def _is_towards_sun(scene: Scene, buffer: Receivers, light_m: np.ndarray, slack_
     Points that miss it by less than ``slack_m`` count, too.
     """
     assert scene.light is not None
-    low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
+    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light.from_frame(buffer.frame))
     is_towards_sun: np.ndarray = (
         (light_m[..., 0] >= low[0] - slack_m) & (light_m[..., 0] <= high[0] + slack_m)
         & (light_m[..., 1] >= low[1] - slack_m) & (light_m[..., 2] <= high[2] + slack_m)
@@ -425,7 +425,7 @@ def _full_detail_nodes(scene: Scene, grid: Grid) -> int:
     """Return the distance from a block, in nodes, within which casters are read on the block's own grid."""
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     share = NODES_PER_CELL * scene.surface(grid).step_m / cell_m
-    return int(np.clip(FULL_DETAIL_NODES * share, LEAST_DETAIL_NODES, FULL_DETAIL_NODES))
+    return int(np.clip(FULL_DETAIL_NODES * share, MIN_DETAIL_NODES, FULL_DETAIL_NODES))
 
 
 def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch]) -> list[Patch]:
@@ -436,7 +436,7 @@ def _patches_that_may_shade(scene: Scene, buffer: Receivers, patches: list[Patch
     (grid, _), quads = _grid_and_ground(buffer), PATCH_QUADS * 2 ** patches[0].level
     middle = np.array([(patch.row, patch.col) for patch in patches]) * quads + quads / 2
     point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
-    low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
+    low, high = light_bounds(buffer.position_frame_m, buffer.valid, *scene.light.from_frame(buffer.frame))
     in_light = scene.light.from_earth(point + scene.height_range_m[1] * up)
     slack = quads * scene.surface(grid).step_m * 1.5  # twice half a diagonal: map scale varies over a level
     in_window = (in_light[:, 0] >= low[0] - slack) & (in_light[:, 0] <= high[0] + slack) & (in_light[:, 1] >= low[1] - slack)
@@ -463,14 +463,14 @@ def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
     """Return how far the block's receivers reach towards the sun, as ``LightSpace.towards_sun_m`` counts."""
     rotation, translation = light.from_frame(buffer.frame)
     row, offset = light.towards_sun_m(rotation.T), light.towards_sun_m(translation)
-    _, high = light_bounds(buffer.position_frame_m, buffer.there, np.tile(row, (3, 1)), np.full(3, offset))
+    _, high = light_bounds(buffer.position_frame_m, buffer.valid, np.tile(row, (3, 1)), np.full(3, offset))
     return float(high[0])
 
 
-def _rim_pixels(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rim_pixels(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of pixels on the rim of a valid mask: the ends of nine rows and nine columns."""
     ends = []
-    for axis, mask in enumerate((there, there.T)):
+    for axis, mask in enumerate((valid, valid.T)):
         lines = np.flatnonzero(mask.any(axis=1))
         for line in lines[np.unique(np.linspace(0, lines.size - 1, 9).astype(int))]:
             across = np.flatnonzero(mask[line])
@@ -483,11 +483,11 @@ def _ray_starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, 
     """Return positions among a buffer's receivers from which rays to the sun are examined: CRS, x, y, and the view's middle."""
     view = buffer.view
     if isinstance(view, MapView):
-        i, j = _rim_pixels(buffer.shown if isinstance(buffer, BareNodes) else buffer.there)
+        i, j = _rim_pixels(buffer.shown if isinstance(buffer, BareNodes) else buffer.valid)
         x, y = view.grid.x(view.col0 + j * view.col_step), view.grid.y(view.row0 + i * view.row_step)
         return view.grid.crs, np.asarray(x), np.asarray(y), view.centre
-    there = np.flatnonzero(buffer.there)
-    seen = buffer.position_frame_m.reshape(-1, 3)[there[:: max(len(there) // RAY_STARTS, 1)]]
+    valid = np.flatnonzero(buffer.valid)
+    seen = buffer.position_frame_m.reshape(-1, 3)[valid[:: max(len(valid) // RAY_STARTS, 1)]]
     points = buffer.frame.points_to_earth(seen)
     x, y, _ = scene.world.map_position(scene.map_crs, points)
     return scene.map_crs, x, y, (float(np.median(x)), float(np.median(y)))

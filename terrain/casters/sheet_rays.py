@@ -20,7 +20,7 @@ import numpy as np
 from skugga.terrain.compiled import CORES, compiled, internal, map_on_cores
 from skugga.terrain.ground.sheet import Sheet
 
-LEAST_TILE_QUADS = 4
+MIN_TILE_QUADS = 4
 """Quads along a side of the lowest tiles. All quads of a tile are tested where a ray meets the tile's box."""
 
 
@@ -79,7 +79,7 @@ class SheetRays:
         for each in self._sheets:
             rows, cols = each.falls.shape
             first = len(levels)
-            tall, wide = -(-rows // LEAST_TILE_QUADS), -(-cols // LEAST_TILE_QUADS)
+            tall, wide = -(-rows // MIN_TILE_QUADS), -(-cols // MIN_TILE_QUADS)
             while True:
                 levels.append((box, tall, wide))
                 box += tall * wide
@@ -124,8 +124,8 @@ def _build(pyramids, number, position, centre, axes):
     for i in range(tall):
         for j in range(wide):
             a0, a1, b0, b1, d1 = np.inf, -np.inf, np.inf, -np.inf, -np.inf
-            for r in range(i * LEAST_TILE_QUADS, min((i + 1) * LEAST_TILE_QUADS + 1, rows)):
-                for c in range(j * LEAST_TILE_QUADS, min((j + 1) * LEAST_TILE_QUADS + 1, cols)):
+            for r in range(i * MIN_TILE_QUADS, min((i + 1) * MIN_TILE_QUADS + 1, rows)):
+                for c in range(j * MIN_TILE_QUADS, min((j + 1) * MIN_TILE_QUADS + 1, cols)):
                     a, b, d = node[first + r * per_row + c]
                     if np.isfinite(d):
                         a0, a1, b0, b1, d1 = min(a0, a), max(a1, a), min(b0, b), max(b1, b), max(d1, d)
@@ -201,8 +201,8 @@ def _hits_tile(pyramids, number, i, j, a, b, d):
     last = pyramids.sheet[number + 1, 2] if number + 1 < len(pyramids.sheet) else len(pyramids.falls)
     node, cols = pyramids.node, per_row - 1
     rows = (last - first_quad) // cols
-    for r in range(i * LEAST_TILE_QUADS, min((i + 1) * LEAST_TILE_QUADS, rows)):
-        for c in range(j * LEAST_TILE_QUADS, min((j + 1) * LEAST_TILE_QUADS, cols)):
+    for r in range(i * MIN_TILE_QUADS, min((i + 1) * MIN_TILE_QUADS, rows)):
+        for c in range(j * MIN_TILE_QUADS, min((j + 1) * MIN_TILE_QUADS, cols)):
             at = first + r * per_row + c
             below = at + per_row
             # Test the third axis first: most triangles round a start lie behind it.

@@ -38,7 +38,7 @@ from skugga.terrain.scene_objects import SceneObjects
 COARSE_NODES = 2**18
 """Maximum number of nodes of the coarse ground that is tested first. If it casts shadows, finer ground does too."""
 
-MOST_NODES = 2**21
+MAX_NODES = 2**21
 """Ground with more nodes is not tested facet by facet (about 0.3 s per million) and counts as possible caster."""
 
 MAX_TREES_TESTED = 2000
@@ -154,7 +154,7 @@ def _slopes_under_sun(
     min_excess, max_excess = facing_range_of_slopes(slope_support(scene.world, scene.elevation, grid.coarser(halvings)), to_sun)
     if halvings == 0 or (min_excess is not None and max_excess is not None and min_excess <= 0.0 and max_excess >= 0.0):
         return min_excess, max_excess
-    if nodes > MOST_NODES:
+    if nodes > MAX_NODES:
         return None, None
     return facing_range_of_slopes(slope_support(scene.world, scene.elevation, grid), to_sun)
 

@@ -206,14 +206,14 @@ def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
-    there, _, position, height, _ = shading_inputs
+    valid, _, position, height, _ = shading_inputs
     rotation, origin = anchor_from_frame
     cover, threshold, max_opacity, layer_m, to_sun, centre, drift = layer
     eye, spread, pixel_m = size
     fade = _fade(pixel_m)
-    for i in range(there.shape[0]):
-        for j in range(there.shape[1]):
-            if not there[i, j] or sunlight[i, j] == 0.0:
+    for i in range(valid.shape[0]):
+        for j in range(valid.shape[1]):
+            if not valid[i, j] or sunlight[i, j] == 0.0:
                 continue
             p = position[i, j]
             if spread > 0.0:
@@ -317,7 +317,7 @@ def _boxes_of_coarse_view(scene: Scene, layer: CloudLayer, coarse_view: CoarseVi
     """
     rotation, origin_m = scene.world.anchor_from_frame(coarse_view.buffer.frame)
     points, distance_m, height_m = coarse_view.points_frame_m, coarse_view.distance_m, coarse_view.height_m
-    if not coarse_view.buffer.there.all():
+    if not coarse_view.buffer.valid.all():
         far = distance_m > distance_m.max(initial=0.0) / 1.25
         points = np.concatenate([points, 1.25 * points[far] - 0.25 * coarse_view.eye_frame_m])
         distance_m, height_m = np.concatenate([distance_m, 1.25 * distance_m[far]]), np.concatenate([height_m, height_m[far]])

@@ -5,8 +5,8 @@ no cross. These shadows would draw a sharp line down each crown, and streaks und
 and around the leaves from all directions. Much of it is left behind one layer of leaves: a leaf transmits about a tenth of green
 light and scatters as much, and the rest passes through the gaps.
 
-On foliage only, the share ``LEAF_TRANSMITTANCE`` of the sunlight therefore passes other foliage. Ground and meshes block all of it; a
-ray from the point to the sun finds them. The crown gets its shape from its normals (``skugga.terrain.gbuffer.resolve``) and its
+On foliage only, the share ``LEAF_TRANSMITTANCE`` of the sunlight therefore passes other foliage. Ground and meshes block all of it;
+a ray from the point to the sun finds them. The crown gets its shape from its normals (``skugga.terrain.gbuffer.resolve``) and its
 grain from the textures.
 
 The effect changes shading only. Visibilities, masks and all measured values stay the same. Maps show the horizontal quad of each

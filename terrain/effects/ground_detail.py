@@ -45,7 +45,7 @@ FLAT_GROUND_FACTOR = 0.45
 
 DETAIL_SEED = 71
 
-MOST_NOISE = 0.9
+MAX_NOISE = 0.9
 """Upper bound of gradient noise."""
 
 TURN = (0.8, 0.6)
@@ -89,12 +89,12 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     if coarse_view is None or isinstance(view, MapView):
         return {"draped": draped, "nearest_m": None, "share": None}
     buffer = coarse_view.buffer
-    ground = buffer.kind[buffer.there] == RELIEF
+    ground = buffer.kind[buffer.valid] == RELIEF
     distance_m = coarse_view.distance_m[ground]
     if not len(distance_m):
         return {"draped": draped, "nearest_m": None, "share": None}
     to_eye = (coarse_view.eye_frame_m - coarse_view.points_frame_m[ground]) / np.maximum(distance_m, 1e-9)[:, None]
-    facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.there][ground], to_eye))
+    facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.valid][ground], to_eye))
     # Between two samples a plane may be nearer and seen at a steeper angle: at distance h / c for the cosine c.
     steeper = np.clip(facing + coarse_view.spacing, GRAZING_COSINE, 1.0)
     wide_m = view.pixel * distance_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
@@ -104,7 +104,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 def largest_share(pixel_m: float) -> float:
     """Return an upper bound of the relative change of the albedo for pixels of some size."""
     shown = [amplitude * _visible_share(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
-    return float(MOST_NOISE * (sum(shown) + max(map(abs, HUE)) * sum(shown[:HUE_WAVES])))
+    return float(MAX_NOISE * (sum(shown) + max(map(abs, HUE)) * sum(shown[:HUE_WAVES])))
 
 
 def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
@@ -125,9 +125,10 @@ def _cache_key(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> t
 @cached("scene", 128 * MIB, key=_cache_key, max_entries=1)
 def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.ndarray:
     """Return how much lighter and drier the ground is, shape (rows, cols, 2), float64. It does not depend on the sun."""
-    out = np.zeros((*buffer.there.shape, 2))
+    out = np.zeros((*buffer.valid.shape, 2))
     run_in_chunks(
-        len(out), _compute_waves, buffer.shading_inputs, scene.world.anchor_from_frame(buffer.frame), scene.elevation.water_m + SHORE_M,
+        len(out), _compute_waves, buffer.shading_inputs, scene.world.anchor_from_frame(buffer.frame),
+        scene.elevation.water_m + SHORE_M,
         view.in_frame(buffer.frame)[0], view.pixel, _WAVES, out,
     )  # fmt: skip
     return out
@@ -152,15 +153,15 @@ def _visible_share(wave_m, pixel_m):
 @compiled
 def _compute_waves(first, last, shading_inputs, anchor_from_frame, water_m, eye, pixel, waves, out):
     """Compute the detail of some rows, in runs of pixels, with ``noise_along``."""
-    there, kind, position, height, normal = shading_inputs
+    valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     x, y, wide_m = np.empty(WAVE_RUN), np.empty(WAVE_RUN), np.empty(WAVE_RUN)
     column = np.empty(WAVE_RUN, np.int64)
-    cols = there.shape[1]
+    cols = valid.shape[1]
     for i in range(first, last):
         count = 0
         for j in range(cols):
-            if there[i, j] and kind[i, j] == RELIEF and height[i, j] > water_m:
+            if valid[i, j] and kind[i, j] == RELIEF and height[i, j] > water_m:
                 p, n = position[i, j], normal[i, j]
                 dx, dy, dz = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
                 away = np.sqrt(dx * dx + dy * dy + dz * dz)

@@ -254,13 +254,13 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
     up /= np.linalg.norm(up)
     level = np.zeros(3) if scene.sun is None else horizontal_sun_direction(scene.sun.in_frame(frame), up)
     buffer, air = block.buffer, extinctions(visibility_of(scene, view))
-    run_in_chunks(len(color), _apply_haze_rows, color, buffer.there, buffer.position_frame_m, eye, air, up, level, sky_of(scene))
+    run_in_chunks(len(color), _apply_haze_rows, color, buffer.valid, buffer.position_frame_m, eye, air, up, level, sky_of(scene))
 
 
 @compiled
-def _apply_haze_rows(first, last, color, there, position, eye, extinction, up, level, sky):
+def _apply_haze_rows(first, last, color, valid, position, eye, extinction, up, level, sky):
     """Apply haze to some rows. The inner loops compile to vector instructions."""
-    cols = there.shape[1]
+    cols = valid.shape[1]
     away, along, transmittance = np.empty(cols), np.empty(cols), np.empty(cols)
     at_horizon, horizon_color = np.zeros(cols), np.empty((3, cols))
     for i in range(first, last):
@@ -277,7 +277,7 @@ def _apply_haze_rows(first, last, color, there, position, eye, extinction, up, l
             horizon, own = horizon_color[k], color[i, :, k]
             for j in range(cols):
                 value = horizon[j] + (own[j] - horizon[j]) * transmittance[j]
-                own[j] = value if there[i, j] else own[j]
+                own[j] = value if valid[i, j] else own[j]
 
 
 @compiled

@@ -1,7 +1,7 @@
 """Lamps: spots and omni lights, needed if the light of one of them is visible in the view.
 
-``_add_lamp_light`` computes their light at a point. ``visible_lamps`` and the glints on water (``skugga.terrain.effects.water``) use the
-same formula.
+``_add_lamp_light`` computes their light at a point. ``visible_lamps`` and the glints on water (``skugga.terrain.effects.water``)
+use the same formula.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible
 from skugga.terrain.lights import CONE_EDGE, Lamp
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import LEAF_GLOW, daylight_of, exposure_of, night_of
-from skugga.terrain.shading_loops import LEAST_SKY, dusk_of
+from skugga.terrain.shading_loops import MIN_SKY, dusk_of
 from skugga.terrain.srgb import srgb_of_linear
 
 NAMED_LAMPS = 8
@@ -112,7 +112,7 @@ def _min_visible_light(scene: Scene) -> float:
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     night = night_of(scene)
     sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
-    ground_light = 0.25 * (1.0 if scene.sun is None else LEAST_SKY) * sky if "meshes" not in scene.objects.kinds else 0.0
+    ground_light = 0.25 * (1.0 if scene.sun is None else MIN_SKY) * sky if "meshes" not in scene.objects.kinds else 0.0
     increments = np.geomspace(1e-6, 1.0, 256)
     return float(
         increments[
@@ -153,13 +153,13 @@ def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _add_lamp_light(out, shading_inputs, visibility, lamp, axis, color, outer, inner, glow):
-    there, kind, position, _, normal = shading_inputs
-    for i in range(there.shape[0]):
-        for j in range(there.shape[1]):
+    valid, kind, position, _, normal = shading_inputs
+    for i in range(valid.shape[0]):
+        for j in range(valid.shape[1]):
             n, p = normal[i, j], position[i, j]
             x, y, z = lamp[0] - p[0], lamp[1] - p[1], lamp[2] - p[2]
             away = np.sqrt(x * x + y * y + z * z)
-            if not there[i, j] or away == 0.0 or visibility[i, j] == 0.0:
+            if not valid[i, j] or away == 0.0 or visibility[i, j] == 0.0:
                 continue
             leaf = glow if kind[i, j] == FOREST else 0.0
             across = max(n[0] * x + n[1] * y + n[2] * z, 0.0) / away

@@ -118,17 +118,17 @@ def _max_hidden_in_view(baked: SkyView, coarse_view: CoarseView) -> float:
     The search radius around each point of the coarse view is the distance to its neighbours.
     """
     buffer = coarse_view.buffer
-    if not buffer.there.any():
+    if not buffer.valid.any():
         return 0.0
     nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
-    reach = np.zeros(buffer.there.shape)
+    reach = np.zeros(buffer.valid.shape)
     for axis in (0, 1):
         apart = np.linalg.norm(np.diff(nodes, axis=axis), axis=-1)
         before, after = (np.insert(apart, position, np.nan, axis=axis) for position in (0, apart.shape[axis]))
         # Use the nearer of two neighbours, since the other one may lie beyond a skyline, in another valley.
         reach = np.fmax(reach, np.fmin(before, after))
     highest, table = baked.highest
-    has_node = buffer.there & np.isfinite(nodes[..., 0])
+    has_node = buffer.valid & np.isfinite(nodes[..., 0])
     return float(_max_around_nodes(highest, table, nodes[has_node], reach[has_node]))
 
 
@@ -163,9 +163,10 @@ def _sky_view_factors(block: ShadingBlock) -> np.ndarray:
     baked = sky_view(scene.elevation, scene.world)
     eye, tangent, width_m = pixel_size(block)
     nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
-    out = np.ones(buffer.there.shape)
+    out = np.ones(buffer.valid.shape)
     run_in_chunks(
-        len(out), _write_factors, out, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m
+        len(out), _write_factors, out, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m,
+        width_m / baked.node_m
     )  # fmt: skip
     return out
 

@@ -39,19 +39,20 @@ def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
     if not scene.loaded.level.weather.snow:
         return
     _whiten(
-        albedo, buffer.shading_inputs, buffer.albedo, scene.world.up_origin(buffer.frame), scene.world.anchor_from_frame(buffer.frame),
+        albedo, buffer.shading_inputs, buffer.albedo, scene.world.up_origin(buffer.frame),
+        scene.world.anchor_from_frame(buffer.frame),
         scene.elevation.water_m + SHORE_M, pixel_size(block),
     )  # fmt: skip
 
 
 @compiled
 def _whiten(albedo, shading_inputs, own, centre, anchor_from_frame, water_m, size):
-    there, kind, position, height, normal = shading_inputs
+    valid, kind, position, height, normal = shading_inputs
     rotation, origin = anchor_from_frame
     eye, spread, pixel_m = size
-    for i in range(there.shape[0]):
-        for j in range(there.shape[1]):
-            if not there[i, j] or (kind[i, j] == RELIEF and height[i, j] <= water_m):
+    for i in range(valid.shape[0]):
+        for j in range(valid.shape[1]):
+            if not valid[i, j] or (kind[i, j] == RELIEF and height[i, j] <= water_m):
                 continue
             n, p = normal[i, j], position[i, j]
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]

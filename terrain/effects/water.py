@@ -49,7 +49,7 @@ MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_M_S
 NORMAL_FRESNEL = 0.02
 """Fresnel reflectance at normal incidence: ((n - 1) / (n + 1))**2 for n = 1.333."""
 
-MOST_PIXELS = 2_000_000
+MAX_PIXELS = 2_000_000
 """Maximum number of pixels drawn in the search for water between the points of a coarse view. Beyond it, water is assumed."""
 
 MAX_CELLS_READ = 2**18
@@ -134,8 +134,8 @@ def _has_water_in(elevation: Elevation, level: int, cells: CellRange) -> bool:
         means = overview.heights_m[block_slices(cells, 2**overview.level, overview.heights_m.shape, 2)]
         return level < overview.level or bool(np.nanmin(means, initial=np.inf) <= elevation.water_m + SHORE_M)
     row, col = ((np.arange(rows.start, rows.stop) + 0.5) * side - 0.5 for rows in shown)
-    height_m, there = elevation.heights_at(level, *np.meshgrid(row, col, indexing="ij"))
-    return bool((there & (height_m <= elevation.water_m + SHORE_M)).any())
+    height_m, valid = elevation.heights_at(level, *np.meshgrid(row, col, indexing="ij"))
+    return bool((valid & (height_m <= elevation.water_m + SHORE_M)).any())
 
 
 def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
@@ -173,8 +173,8 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
     col, row = (np.rint((in_camera[:, k] / in_camera[:, 2] * coarse.focal_px - first[k]) / coarse.step) for k in (0, 1))
     inside = (row >= -1) & (row <= coarse.rows) & (col >= -1) & (col <= coarse.cols)
     points, in_camera, row, col = points[inside], in_camera[inside], row[inside].astype(int), col[inside].astype(int)
-    far_m = np.full(buffer.there.shape, np.inf)
-    far_m[buffer.there] = coarse_view.distance_m
+    far_m = np.full(buffer.valid.shape, np.inf)
+    far_m[buffer.valid] = coarse_view.distance_m
     far_m = maximum_filter(far_m, size=3, mode="nearest")[np.clip(row, 0, coarse.rows - 1), np.clip(col, 0, coarse.cols - 1)]
     seen = np.linalg.norm(in_camera, axis=-1) <= far_m * (1.0 + coarse_view.spacing)
     if not seen.any():
@@ -183,7 +183,7 @@ def _submerged_nodes_between(scene: Scene, view: PerspectiveView, coarse_view: C
     top, left = (max((int(v[seen].min()) - 1) * pixels_per_sample, 0) for v in (row, col))
     bottom, right = (min((int(v[seen].max()) + 2) * pixels_per_sample, n) for v, n in ((row, view.rows), (col, view.cols)))
     box = view.part(top, left, max(bottom - top, 1), max(right - left, 1))
-    if box.rows * box.cols > MOST_PIXELS:
+    if box.rows * box.cols > MAX_PIXELS:
         return points[seen]
     submerged = wet[ground.triangles].all(axis=1)
     for drawn in (box, finer_view(box)):
@@ -214,11 +214,11 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
     # Points on a sphere around the eye, above a horizontal plane.
     eye = np.stack([np.sqrt(1.0 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
     points = np.ascontiguousarray(np.broadcast_to(-eye, shown.shape))
-    there, below, max_steps = np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12]), 0
+    valid, below, max_steps = np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12]), 0
     # The sky's colour is monotonic from below the sun to the opposite side, so both ends suffice.
     for to_sun in (np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])):
         color = shown.copy()
-        _add_reflections(color, there, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
+        _add_reflections(color, valid, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
         max_steps = max(max_steps, int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(shown)).max()))
     return max_steps
 

@@ -41,8 +41,8 @@ class NeighbourSamples:
     row, col
         The pixels (n,).
     number
-        Visible triangle in each pixel and its neighbours (n, 5), uint32, in the order of ``CROSS_OFFSETS``. Triangles are numbered from 1,
-        first those of the ground, then those of the meshes. 0 is no triangle.
+        Visible triangle in each pixel and its neighbours (n, 5), uint32, in the order of ``CROSS_OFFSETS``. Triangles are numbered
+        from 1, first those of the ground, then those of the meshes. 0 is no triangle.
     distance_m
         Distance along the view axis (n, 5), float64, metres; infinite where no triangle is visible.
     ground
@@ -145,11 +145,11 @@ def _sample_every(scene: Scene, view: PerspectiveView, px: int, edge_samples: Ne
         depth = (NEAR_M / depth_m[..., 0]).astype(np.float32)
         has_edge = edge_mask(seen.number, depth, edge_samples.ground, edge_samples.normals, NEAR_M)
     geometry = resolve_buffer(scene, coarse, _CoarseRaster(frame, ground, solids, seen))
-    points = geometry.position_frame_m[geometry.there]
+    points = geometry.position_frame_m[geometry.valid]
     eye, _ = view.in_frame(frame)
     distance_m = np.linalg.norm(points - eye, axis=-1)
     return CoarseView(
-        geometry, eye, points, distance_m, geometry.height_m[geometry.there], coarse.pixel, float(has_edge.mean()), edge_samples
+        geometry, eye, points, distance_m, geometry.height_m[geometry.valid], coarse.pixel, float(has_edge.mean()), edge_samples
     )
 
 
@@ -159,8 +159,8 @@ def rasterize_triangles(
     """Return the nearest triangle at k sample positions of each pixel, and its distance along the view axis.
 
     The numbers have shape (rows, cols, k) and dtype uint32. The distances are float64 metres, infinite where no triangle is hit.
-    ``sample_offsets`` (k, 2) holds the sample offsets from the pixel's centre, down and to the right, in pixels. Each mesh is a pair of
-    vertices (n, 3) in ``frame`` and triangles (m, 3). Triangles are numbered from 1 through all meshes.
+    ``sample_offsets`` (k, 2) holds the sample offsets from the pixel's centre, down and to the right, in pixels. Each mesh is a
+    pair of vertices (n, 3) in ``frame`` and triangles (m, 3). Triangles are numbered from 1 through all meshes.
     """
     eye, camera_from_frame = view.in_frame(frame)
     number = np.zeros((view.rows, view.cols, len(sample_offsets)), np.uint32)

@@ -25,7 +25,7 @@ MIN_CAST_SHARE = 0.5 / PROBES
 PROBES_AMONG_TREES = 500
 """The same limit in a scene with trees, whose leaves make rays expensive."""
 
-MOST_PLANE = 8.0
+MAX_PLANE = 8.0
 """Maximum offset along the light of a place beside a point, as a multiple of its offset perpendicular to the light.
 
 The place lies on the plane of the surface unless that plane is steeper than this limit.
@@ -130,7 +130,7 @@ def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -
     facing = np.einsum("ij,ij->i", probes.normal_frame, direction_frame)
     # Shift the places along the light onto the plane of the visible surface, where a shadow map compares.
     shift = -np.einsum("ij,ij->i", probes.normal_frame, perpendicular) / np.where(facing == 0.0, 1e-30, facing)
-    max_shift = MOST_PLANE * np.linalg.norm(offset, axis=1)
+    max_shift = MAX_PLANE * np.linalg.norm(offset, axis=1)
     directions = perpendicular + np.clip(shift, -max_shift, max_shift)[:, None] * direction_frame
     sizes = np.array([0.0, *TEXEL_LADDER_PX])
     start = probes.point_frame_m + sizes[:, None, None] * directions

@@ -96,7 +96,7 @@ def blocked_by_relief(world: World, elevation: Elevation, at: OverviewProbes, pr
 
 
 def _is_hidden(world: World, elevation: Elevation, at: OverviewProbes, start_offset: np.ndarray, rays: ProbeRays) -> np.ndarray:
-    """Return whether the ground blocks each ray (k, n). ``start_offset`` (k, n, 3) are the offsets of the starts from the probes."""
+    """Return whether the ground blocks each ray (k, n). ``start_offset`` (k, n, 3) are offsets of the starts from the probes."""
     heights, tops = _heights_and_block_maxima(elevation)
     direction = rays.direction_frame
 

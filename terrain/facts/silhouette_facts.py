@@ -19,7 +19,7 @@ from skugga.terrain.scene_objects import SceneObjects
 if TYPE_CHECKING:
     from skugga.terrain.meshes.assemble import Placement
 
-MOST_SIDES = 4096
+MAX_SIDES = 4096
 """Maximum number of shadow-volume sides that are tested against the eye's rays. More sides are sampled evenly and scaled up."""
 
 EYE_RAYS = 48
@@ -149,11 +149,12 @@ def mean_volume_layers(
 ) -> float:
     """Return the mean number of shadow-volume sides that rays cross.
 
-    The sides start at edges (k, 2, 3) and extend away from the light. The rays are segments ``segment_m`` (n, 3) from starts (n, 3).
+    The sides start at edges (k, 2, 3) and extend away from the light. The rays are segments ``segment_m`` (n, 3) from starts (n,
+    3).
     """
     if not len(ends_earth_m) or not len(segment_m):
         return 0.0
-    count = min(len(ends_earth_m), MOST_SIDES)
+    count = min(len(ends_earth_m), MAX_SIDES)
     sampled_ends = ends_earth_m[(np.arange(count) * (len(ends_earth_m) / count)).astype(np.int64)]
     near = start_earth_m[0]  # origin near the rays, for precision
     light = light_earth - near if is_positional else light_earth

@@ -51,32 +51,32 @@ def probes_in_view(coarse_view: CoarseView, view: PerspectiveView, trees: TreeIn
 
 @cached("scene", 64 * MIB)
 def _coarse_view_probes(coarse_view: CoarseView, pixel: float) -> Probes:
-    there = coarse_view.buffer.there
+    valid = coarse_view.buffer.valid
     return Probes(
         frame=coarse_view.buffer.frame, point_frame_m=coarse_view.points_frame_m,
-        normal_frame=coarse_view.buffer.normal_frame[there].astype(np.float64),
-        pixel_m=coarse_view.distance_m * pixel, distance_m=coarse_view.distance_m, kind=coarse_view.buffer.kind[there],
+        normal_frame=coarse_view.buffer.normal_frame[valid].astype(np.float64),
+        pixel_m=coarse_view.distance_m * pixel, distance_m=coarse_view.distance_m, kind=coarse_view.buffer.kind[valid],
         number=np.arange(len(coarse_view.distance_m)),
     )  # fmt: skip
 
 
 @cached("scene", 64 * MIB)
 def _probes_with_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstances) -> Probes:
-    surface_probes, coarse, there = (
+    surface_probes, coarse, valid = (
         _coarse_view_probes(coarse_view, pixel),
         coarse_view.buffer.view,
-        coarse_view.buffer.there.ravel(),
+        coarse_view.buffer.valid.ravel(),
     )
     assert isinstance(coarse, PerspectiveView)
-    chosen = stratified_indices(there.size, MAX_LEAF_PROBES)
+    chosen = stratified_indices(valid.size, MAX_LEAF_PROBES)
     count = len(chosen)
     row, col = np.divmod(chosen, coarse.cols)
     tangents = np.stack([coarse.col0 + col * coarse.step, coarse.row0 + row * coarse.step], axis=1) / coarse.focal_px
     _, camera_from_frame = coarse.in_frame(coarse_view.buffer.frame)
     direction = np.column_stack([tangents, np.ones(count)]) @ camera_from_frame
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    point, length = (np.cumsum(there) - 1)[chosen], np.full(count, np.inf)
-    length[there[chosen]] = surface_probes.distance_m[point[there[chosen]]]
+    point, length = (np.cumsum(valid) - 1)[chosen], np.full(count, np.inf)
+    length[valid[chosen]] = surface_probes.distance_m[point[valid[chosen]]]
     met, normal = first_leaf_hits(trees, np.tile(coarse_view.eye_frame_m, (count, 1)), direction, length)
     leaf = np.isfinite(met)
     leaves = Probes(
@@ -84,7 +84,7 @@ def _probes_with_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstan
         met[leaf],
         np.full(int(leaf.sum()), FOREST, np.uint8), chosen[leaf],
     )  # fmt: skip
-    return _joined(surface_probes.select(point[there[chosen] & ~leaf]), leaves)
+    return _joined(surface_probes.select(point[valid[chosen] & ~leaf]), leaves)
 
 
 def edge_share(coarse_view: CoarseView, trees: TreeInstances | None) -> float:

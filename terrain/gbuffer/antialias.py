@@ -73,7 +73,7 @@ class MultisampledBuffer:
         """The buffer of the picture's own pixels, without samples."""
         if not self.has_samples:
             return self.buffer
-        shape = self.buffer.there.shape
+        shape = self.buffer.valid.shape
         changes: dict[str, Any] = {}
         for item in fields(GeometryBuffer):
             value = getattr(self.buffer, item.name)
@@ -86,7 +86,7 @@ class MultisampledBuffer:
         sample = np.flatnonzero(row >= self.rows)
         row, col = row.copy(), col.copy()
         if len(sample):
-            own = ((row[sample] - self.rows) * self.buffer.there.shape[1] + col[sample]) // self.each
+            own = ((row[sample] - self.rows) * self.buffer.valid.shape[1] + col[sample]) // self.each
             own = np.minimum(own, len(self.pixels[0]) - 1)
             row[sample], col[sample] = self.pixels[0][own], self.pixels[1][own]
         return row, col

@@ -41,7 +41,7 @@ class BareGround:
     ----------
     view, frame
         The view, and its local frame.
-    there
+    valid
         bool (rows, cols), valid mask: the pixel shows ground.
     window
         The rows and columns of pixels that contain all ground.
@@ -57,7 +57,7 @@ class BareGround:
 
     view: MapView
     frame: LocalFrame
-    there: np.ndarray
+    valid: np.ndarray
     window: tuple[slice, slice]
     height_m: np.ndarray
     normal_frame: np.ndarray
@@ -90,14 +90,14 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     reach = normal_stencil_radius(surface)
     row0, col0 = int(view.row0) - reach, int(view.col0) - reach
     nodes = surface.height_window(row0, col0, view.rows + 2 * reach, view.cols + 2 * reach)
-    height, shown = nodes.height_m, nodes.there
+    height, shown = nodes.height_m, nodes.valid
     own = shown[reach:-reach, reach:-reach]
     rows, cols = (np.flatnonzero(own.any(axis=axis)) for axis in (1, 0))
-    there = np.zeros((view.rows, view.cols), np.bool_)
+    valid = np.zeros((view.rows, view.cols), np.bool_)
     if not len(rows):
         nothing = np.zeros((0, 0), np.float32)
         nothing_3d = np.zeros((0, 0, 3), np.float32)
-        return BareGround(view, frame, there, (slice(0, 0), slice(0, 0)), nothing, nothing_3d, nothing_3d, nothing)
+        return BareGround(view, frame, valid, (slice(0, 0), slice(0, 0)), nothing, nothing_3d, nothing_3d, nothing)
     window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
     around = tuple(slice(side.start, side.stop + 2 * reach) for side in window)
     height, shown = np.ascontiguousarray(height[around]), np.ascontiguousarray(shown[around])
@@ -112,8 +112,8 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     )  # fmt: skip
     if not complete:
         return None
-    there[window] = known
-    return BareGround(view, frame, there, window, height[reach:-reach, reach:-reach].copy(), normal, up, share)
+    valid[window] = known
+    return BareGround(view, frame, valid, window, height[reach:-reach, reach:-reach].copy(), normal, up, share)
 
 
 def _sky_arguments(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tuple[Any, ...]:
@@ -147,7 +147,7 @@ def _smooth_ground(
     row_is_complete = np.empty(side, np.bool_)  # whether each of these rows has all its points
     normal, share = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols), np.float32)
     up = np.empty((rows, cols, 3), np.float32)
-    there = np.empty((rows, cols), np.bool_)
+    valid = np.empty((rows, cols), np.bool_)
     own_normal, place = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the current row
     complete = True
     for i in range(-reach, rows + reach):
@@ -163,13 +163,13 @@ def _smooth_ground(
             is_interior = is_interior and row_is_complete[k]
         if is_interior:
             for j in range(cols):
-                there[at, j] = shown[at + reach, reach + j]
-            row_complete = _write_interior_normals(above, here, below, reach, there[at], own_normal)
+                valid[at, j] = shown[at + reach, reach + j]
+            row_complete = _write_interior_normals(above, here, below, reach, valid[at], own_normal)
         else:
-            _write_valid(height, shown, at + reach, reach, there[at])
-            row_complete = _write_rim_normals(above, here, below, reach, there[at], own_normal)
+            _write_valid(height, shown, at + reach, reach, valid[at])
+            row_complete = _write_rim_normals(above, here, below, reach, valid[at], own_normal)
         complete = complete and row_complete
-        _put_normals(own_normal, there[at], normal[at])
+        _put_normals(own_normal, valid[at], normal[at])
         x, y, z = here[0, reach : reach + cols], here[1, reach : reach + cols], here[2, reach : reach + cols]
         _write_open_sky(x, y, z, own_normal, (centre[0], centre[1], centre[2]), share[at])
         _up_of_row(x, y, z, (centre[0], centre[1], centre[2]), up[at])
@@ -178,7 +178,7 @@ def _smooth_ground(
             _write_plane_positions(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, place)
             _convert_to_cells(place, first, step, lattice, cells_a_node)
             _subtract_hidden_sky(place[0], place[1], values, level, share[at])
-    return normal, up, share, there, complete
+    return normal, up, share, valid, complete
 
 
 @internal
@@ -289,12 +289,12 @@ def _points_of_row(across, first_row, stride, row, height, out):
 
 
 @internal
-def _write_valid(height, shown, row, reach, there):
+def _write_valid(height, shown, row, reach, valid):
     """Write which nodes of a row show ground: those that are a corner of a triangle.
 
     A quad with one missing corner still has one triangle.
     """
-    for j in range(there.size):
+    for j in range(valid.size):
         col = j + reach
         known = False
         if shown[row, col] and np.isfinite(height[row, col]):
@@ -304,16 +304,16 @@ def _write_valid(height, shown, row, reach, there):
                 for m in range(4):
                     missing += 0 if np.isfinite(height[r + m // 2, c + m % 2]) else 1
                 known = known or missing <= 1
-        there[j] = known
+        valid[j] = known
 
 
 @internal
-def _write_interior_normals(above, here, below, reach, there, out):
+def _write_interior_normals(above, here, below, reach, valid, out):
     """Write smooth unit normals (3, cols) of a row without missing neighbours.
 
     Returns whether all ground in the row has a normal.
     """
-    cols = there.size
+    cols = valid.size
     west_x, west_y, west_z = here[0, :cols], here[1, :cols], here[2, :cols]
     east = 2 * reach
     east_x, east_y, east_z = here[0, east : east + cols], here[1, east : east + cols], here[2, east : east + cols]
@@ -330,7 +330,7 @@ def _write_interior_normals(above, here, below, reach, there, out):
     for j in range(cols):
         length, x, y, z = _unit_normal(ax[j], ay[j], az[j], bx[j], by[j], bz[j])
         out_x[j], out_y[j], out_z[j] = x, y, z
-        missing += 1 if there[j] & (not length > 0.0) else 0
+        missing += 1 if valid[j] & (not length > 0.0) else 0
     return missing == 0
 
 
@@ -348,25 +348,25 @@ def _unit_normal(ax, ay, az, bx, by, bz):
 
 
 @internal
-def _put_normals(normal, there, out):
+def _put_normals(normal, valid, out):
     """Copy a row's normals (3, cols) to an array (cols, 3) where the row is valid; zeros elsewhere."""
     nx, ny, nz = normal[0], normal[1], normal[2]
-    for j in range(there.size):
-        if there[j]:
+    for j in range(valid.size):
+        if valid[j]:
             out[j, 0], out[j, 1], out[j, 2] = nx[j], ny[j], nz[j]
         else:
             out[j, 0], out[j, 1], out[j, 2] = 0.0, 0.0, 0.0
 
 
 @internal
-def _write_rim_normals(above, here, below, reach, there, out):
+def _write_rim_normals(above, here, below, reach, valid, out):
     """Write smooth unit normals (3, cols) of a row where it is valid, one-sided at the ground's rim.
 
     Returns whether all ground in the row has a normal.
     """
     complete = True
-    for j in range(there.size):
-        if not there[j]:
+    for j in range(valid.size):
+        if not valid[j]:
             continue
         c = j + reach
         w, e = c - reach, c + reach

@@ -34,7 +34,7 @@ class BareNodes:
         The nodes' heights, with ``HALO`` more nodes on each side.
     position_frame_m
         float64 (2, n, 3), points that bound the ground: some of the nodes, at the lowest and at the highest of all heights.
-    there
+    valid
         bool (2, n), valid mask of these points.
     """
 
@@ -43,7 +43,7 @@ class BareNodes:
     frame: LocalFrame
     surface: NodeHeights
     position_frame_m: np.ndarray
-    there: np.ndarray
+    valid: np.ndarray
 
     @property
     def height_m(self) -> np.ndarray:
@@ -57,7 +57,7 @@ class BareNodes:
     @property
     def shown(self) -> np.ndarray:
         """bool (rows, cols), whether a node shows ground."""
-        return self.surface.there[HALO:-HALO, HALO:-HALO]
+        return self.surface.valid[HALO:-HALO, HALO:-HALO]
 
 
 def bare_nodes(scene: Scene, view: MapView, per_pixel: int) -> BareNodes:

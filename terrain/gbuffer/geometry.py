@@ -29,7 +29,7 @@ MAX_STENCIL_RADIUS = 16
 class ShadingInputs(NamedTuple):
     """The arrays of a ``GeometryBuffer`` that shading loops read."""
 
-    there: np.ndarray
+    valid: np.ndarray
     kind: np.ndarray
     position_frame_m: np.ndarray
     height_m: np.ndarray
@@ -46,7 +46,7 @@ class GeometryBuffer:
     ----------
     view, frame
         The view, and the local frame of all points and directions.
-    there
+    valid
         bool, valid mask: the pixel shows a surface.
     position_frame_m
         float64, the visible point in the frame, metres.
@@ -92,7 +92,7 @@ class GeometryBuffer:
 
     view: MapView | PerspectiveView
     frame: LocalFrame
-    there: np.ndarray
+    valid: np.ndarray
     position_frame_m: np.ndarray
     height_m: np.ndarray
     normal_frame: np.ndarray
@@ -115,7 +115,7 @@ class GeometryBuffer:
     @property
     def shading_inputs(self) -> ShadingInputs:
         """The arrays that shading loops read."""
-        return ShadingInputs(self.there, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
+        return ShadingInputs(self.valid, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +157,8 @@ def map_geometry(
 ) -> GeometryBuffer:
     """Return the geometry buffer of the bare ground of a map view (a block).
 
-    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. ``nodes`` (``map_nodes``) saves computing the nodes again: each
-    is the same in every window. Raises ``ValueError`` where ``nodes`` do not cover the view.
+    ``pixel_mask`` (rows, cols) selects pixels; the others show nothing. ``nodes`` (``map_nodes``) saves computing the nodes again:
+    each is the same in every window. Raises ``ValueError`` where ``nodes`` do not cover the view.
     """
     pixel_mask = np.ones((view.rows, view.cols), np.bool_) if pixel_mask is None else pixel_mask
     reach = normal_stencil_radius(surface)
@@ -171,10 +171,10 @@ def map_geometry(
     row = view.row0 + np.arange(view.rows) * view.row_step - window.row0
     col = view.col0 + np.arange(view.cols) * view.col_step - window.col0
     on_nodes = view.on_nodes and reach == 1
-    there, position, height, normal, shading, crease, triangle = map_points(
-        window.position_frame_m, window.height_m, window.there, sheet.falls, sheet.normals_frame, smooth, row, col, pixel_mask
+    valid, position, height, normal, shading, crease, triangle = map_points(
+        window.position_frame_m, window.height_m, window.valid, sheet.falls, sheet.normals_frame, smooth, row, col, pixel_mask
     )
-    kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
+    kind = np.where(valid, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     # A pixel on a node has no triangle of its own, unless the grid is finer than the raster.
     lift = None
     if not on_nodes:
@@ -182,7 +182,7 @@ def map_geometry(
             window.position_frame_m, sheet.falls, sheet.normals_frame, smooth, window.centre_frame_m, row, col, position, triangle,
             reach,
         )  # fmt: skip
-    return GeometryBuffer(view, frame, there, position, height, normal, shading, crease, kind, triangle, window, lift_m=lift)
+    return GeometryBuffer(view, frame, valid, position, height, normal, shading, crease, kind, triangle, window, lift_m=lift)
 
 
 def normal_stencil_radius(surface: Surface) -> int:

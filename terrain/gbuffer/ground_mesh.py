@@ -2,8 +2,8 @@
 
 * The nodes are the raster's own cells if these are square and the view can use the raster's CRS. Else they are those of the
   level's map grid.
-* A ground of up to ``MAX_UNDECIMATED_TRIANGLES`` triangles is drawn in full. A larger one is decimated with the distance from the eye, never
-  with the direction of view, so that turning the camera changes no triangle.
+* A ground of up to ``MAX_UNDECIMATED_TRIANGLES`` triangles is drawn in full. A larger one is decimated with the distance from the
+  eye, never with the direction of view, so that turning the camera changes no triangle.
 * The drawn triangles cast shadows, in front of the eye and behind it.
 """
 
@@ -184,8 +184,8 @@ def _mesh(
 def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> GroundNodes:
     grid, row0, col0, rows, cols = _window(world, elevation, crs)
     surface = Surface(world, elevation, grid)
-    height, there = surface.heights(row0, col0, rows, cols)
-    height = np.where(there, height, np.float32(np.nan))
+    height, valid = surface.heights(row0, col0, rows, cols)
+    height = np.where(valid, height, np.float32(np.nan))
     is_complete = 2 * (rows - 1) * (cols - 1) <= (
         MAX_UNDECIMATED_TRIANGLES if max_triangles == MAX_GROUND_TRIANGLES else max_triangles
     )

@@ -25,9 +25,9 @@ def ground_normals(scene: Scene, view: MapView) -> tuple[np.ndarray, LocalFrame]
     if ground is None:
         frame = scene.world.frame_near(view.grid.crs, *view.centre)
         points = map_geometry(scene.surface(view.grid), view, frame)
-        return np.where(points.there[..., None], points.shading_normal_frame, np.float32(np.nan)), frame
+        return np.where(points.valid[..., None], points.shading_normal_frame, np.float32(np.nan)), frame
     normal_frame = np.full((view.rows, view.cols, 3), np.nan, np.float32)
-    normal_frame[ground.window] = np.where(ground.there[ground.window][..., None], ground.normal_frame, np.float32(np.nan))
+    normal_frame[ground.window] = np.where(ground.valid[ground.window][..., None], ground.normal_frame, np.float32(np.nan))
     return normal_frame, ground.frame
 
 

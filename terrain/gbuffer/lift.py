@@ -17,7 +17,7 @@ import numpy as np
 
 from skugga.terrain.compiled import internal
 
-LEAST_FACING = 0.25
+MIN_FACING = 0.25
 """Minimum divisor of a lift: the cosine between a smooth normal and the line of sight vanishes on surfaces that are seen edge-on.
 """
 
@@ -50,4 +50,4 @@ def lift_distance(node, smooth, point, direction):
     """
     below = smooth[0] * (node[0] - point[0]) + smooth[1] * (node[1] - point[1]) + smooth[2] * (node[2] - point[2])
     facing = smooth[0] * direction[0] + smooth[1] * direction[1] + smooth[2] * direction[2]
-    return below / max(facing, LEAST_FACING) if below > 0.0 else 0.0
+    return below / max(facing, MIN_FACING) if below > 0.0 else 0.0

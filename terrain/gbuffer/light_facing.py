@@ -32,7 +32,7 @@ MIN_LIGHT_SINE = 2.0**-20
 the side that it is on, and it would contribute a millionth of its light.
 """
 
-LEAST_LIFT_M = 1e-3
+MIN_LIFT_M = 1e-3
 """Minimum lift that separates a point from its facet in float32, metres. Where the smooth ground lies no higher, as in a hollow,
 a facet that is turned away shades the point.
 """
@@ -87,11 +87,11 @@ def _cache_key(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ..
 @cached("light", 512 * MIB, key=_cache_key, max_entries=8)
 def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
     """Return the normals that a light uses. Values off the surface are undefined."""
-    nowhere = np.zeros(buffer.there.shape, bool)
+    nowhere = np.zeros(buffer.valid.shape, bool)
     facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), None, nowhere, nowhere.copy())
     view, surface, ground = buffer.view, buffer.surface, buffer.kind == RELIEF
     if not _is_position_independent(buffer, light):
-        ground &= buffer.there
+        ground &= buffer.valid
     if surface is not None and isinstance(view, MapView):
         facing = facing._replace(lift_frame=buffer.normal_frame.copy())
         row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
@@ -101,7 +101,8 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
         _write_facing_facets(nodes, sheet.normals_frame, sheet.falls, centre, row, col, ground, points, light, facing)
     if buffer.lift_m is not None:
         run_in_chunks(
-            len(ground), _write_smooth_normals, ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m, light, facing
+            len(ground), _write_smooth_normals, ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m,
+            light, facing
         )  # fmt: skip
     return facing
 
@@ -161,7 +162,7 @@ def _write_smooth_normals(first, last, ground, smooth, lift, position, light, fa
             min_facing = MIN_LIGHT_SINE * np.sqrt(x * x + y * y + z * z)
             smooth_faces = s[0] * x + s[1] * y + s[2] * z > min_facing
             facet_faces = n[0] * x + n[1] * y + n[2] * z > min_facing
-            lifted[i, j] = smooth_faces and not facet_faces and lift[i, j] > LEAST_LIFT_M
+            lifted[i, j] = smooth_faces and not facet_faces and lift[i, j] > MIN_LIFT_M
             if lifted[i, j] or not smooth_faces:
                 squared_distance = (n[0] - s[0]) ** 2 + (n[1] - s[1]) ** 2 + (n[2] - s[2]) ** 2
                 crease[i, j] += np.sqrt(squared_distance)

@@ -23,11 +23,11 @@ def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, pixel_ma
     """
     row, col = view.row0 + np.arange(view.rows) * view.row_step, view.col0 + np.arange(view.cols) * view.col_step
     columns, seen = find_columns(surface, row, col, frame)
-    there = seen.there if pixel_mask is None else seen.there & pixel_mask
-    kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
+    valid = seen.valid if pixel_mask is None else seen.valid & pixel_mask
+    kind = np.where(valid, np.uint8(RELIEF), np.uint8(NO_SURFACE))
     return GeometryBuffer(
-        view, frame, there, seen.position_frame_m, seen.height_m, seen.up_frame, seen.up_frame.copy(),
-        np.zeros(there.shape, np.float32), kind, columns=columns,
+        view, frame, valid, seen.position_frame_m, seen.height_m, seen.up_frame, seen.up_frame.copy(),
+        np.zeros(valid.shape, np.float32), kind, columns=columns,
     )  # fmt: skip
 
 
@@ -35,8 +35,8 @@ def column_top_corners(buffer: GeometryBuffer) -> np.ndarray:
     """Return ``corners_frame_m`` of a ``GeometryBuffer``, completed with one of the two triangles of each visible column's top."""
     columns, corners = buffer.columns, buffer.corners_frame_m
     assert columns is not None
-    corners = np.zeros((*buffer.there.shape, 9), np.float32) if corners is None else corners.copy()
-    ground = buffer.there & (buffer.kind == RELIEF)
+    corners = np.zeros((*buffer.valid.shape, 9), np.float32) if corners is None else corners.copy()
+    ground = buffer.valid & (buffer.kind == RELIEF)
     _write_corners(columns.window.sheet.position_frame_m, ground, columns.row, columns.col, corners)
     return corners
 

@@ -22,14 +22,14 @@ def map_points(position, height, shown, falls, faces, smooth, row, col, pixel_ma
     nearest nodes suffices.
     """
     rows, cols = row.size, col.size
-    there = np.empty((rows, cols), np.bool_)
+    valid = np.empty((rows, cols), np.bool_)
     point, point_height = np.empty((rows, cols, 3)), np.empty((rows, cols), np.float32)
     normal, shading = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols, 3), np.float32)
     crease, triangle = np.empty((rows, cols), np.float32), np.empty((rows, cols, 3), np.int32)
     facets = np.empty((8, 3), np.int64)
     for i in range(rows):
         for j in range(cols):
-            there[i, j], point_height[i, j], crease[i, j] = False, np.nan, 0.0
+            valid[i, j], point_height[i, j], crease[i, j] = False, np.nan, 0.0
             for k in range(3):
                 point[i, j, k], normal[i, j, k], shading[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
             if not (pixel_mask[i, j] and _is_nearest_shown(shown, row[i], col[j])):
@@ -37,7 +37,7 @@ def map_points(position, height, shown, falls, faces, smooth, row, col, pixel_ma
             count = facets_at(faces, falls, row[i], col[j], facets)
             if count == 0:
                 continue
-            there[i, j] = True
+            valid[i, j] = True
             r, c, half = facets[0]
             triangle[i, j, 0], triangle[i, j, 1], triangle[i, j, 2] = r, c, half
             (o0, o1), (a0, a1), (b0, b1) = facet_corners(falls[r, c], half)
@@ -50,7 +50,7 @@ def map_points(position, height, shown, falls, faces, smooth, row, col, pixel_ma
             _mean_normal(faces, facets, count, normal[i, j])
             crease[i, j] = crease_at(faces, falls, row[i], col[j], normal[i, j])
             _smooth_normal(smooth, row[i], col[j], normal[i, j], shading[i, j])
-    return there, point, point_height, normal, shading, crease, triangle
+    return valid, point, point_height, normal, shading, crease, triangle
 
 
 @compiled

@@ -32,7 +32,7 @@ class ResolvedPoints(NamedTuple):
     ``cells`` are positions in the ground's imagery, empty without imagery. ``lift_m`` is 0 where no ground is seen.
     """
 
-    there: np.ndarray
+    valid: np.ndarray
     position: np.ndarray
     height: np.ndarray
     normal: np.ndarray
@@ -192,7 +192,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
     solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_height, tree_shape, tree_turn, curvature = trees
-    there, point, surface_height, normal, shading, crease, kind, albedo, corners, cells, lift = points
+    valid, point, surface_height, normal, shading, crease, kind, albedo, corners, cells, lift = points
     cols = number.shape[1]
     ground, solid = len(ground_triangles), len(solid_triangles)
     p, face = np.empty((3, 3)), np.empty(3, np.float32)
@@ -201,7 +201,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, sqrt_albe
     for i in range(first, last):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1
-            there[i, j], kind[i, j], crease[i, j], lift[i, j] = t >= 0, NO_SURFACE, 0.0, 0.0
+            valid[i, j], kind[i, j], crease[i, j], lift[i, j] = t >= 0, NO_SURFACE, 0.0, 0.0
             for k in range(3):
                 albedo[i, j, k] = np.nan
             if len(ground_cells):
@@ -295,7 +295,7 @@ def resolve_map(number, solids, trees, sqrt_albedo, points):
     """
     solid_position, solid_px, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_px, tree_shape, tree_turn, curvature, px_from_m = trees
-    there, point, surface_height, normal, shading, crease, kind, albedo, corners, _, _ = points
+    valid, point, surface_height, normal, shading, crease, kind, albedo, corners, _, _ = points
     rows, cols = number.shape
     solid = len(solid_triangles)
     p, q = np.empty((3, 3)), np.empty((3, 3))
@@ -320,9 +320,9 @@ def resolve_map(number, solids, trees, sqrt_albedo, points):
                     q[c, 2] = tree_px[tree, 2] + p[c, 2] - tree_base[tree, 2]
             u, v = _barycentric_in_plan(q, j + 0.5, i + 0.5)
             height = q[0, 2] + u * (q[1, 2] - q[0, 2]) + v * (q[2, 2] - q[0, 2])
-            if there[i, j] and surface_height[i, j] >= height:
+            if valid[i, j] and surface_height[i, j] >= height:
                 continue
-            there[i, j] = True
+            valid[i, j] = True
             surface_height[i, j] = height
             for k in range(3):
                 point[i, j, k] = p[0, k] + u * (p[1, k] - p[0, k]) + v * (p[2, k] - p[0, k])

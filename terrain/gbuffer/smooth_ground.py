@@ -34,7 +34,8 @@ def move_to_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> Geome
     else:
         from_frame_m = buffer.view.in_frame(buffer.frame)[0]
     run_in_chunks(
-        len(lifted), _move_lifted_points, buffer.position_frame_m, buffer.corners_frame_m, lifted, buffer.lift_m, from_frame_m, in_map, position,
+        len(lifted), _move_lifted_points, buffer.position_frame_m, buffer.corners_frame_m, lifted, buffer.lift_m,
+        from_frame_m, in_map, position,
         corners,
     )  # fmt: skip
     return replace(buffer, position_frame_m=position, corners_frame_m=corners, lifted=lifted)

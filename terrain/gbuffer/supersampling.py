@@ -26,7 +26,7 @@ from skugga.terrain.scene import Scene
 PixelSampling = Literal["means", "points"]
 """The content of a map's pixels: means of the nodes that they cover, or their own points, by which accuracy is measured."""
 
-MOST_BARE_NODES = 16 * BLOCK_PX**2
+MAX_BARE_NODES = 16 * BLOCK_PX**2
 """Maximum nodes in a block of tiles on bare ground under the sun alone, where heights suffice: 4 x 4 in a pixel of a block that
 is full of ground, more where the level is smaller.
 """
@@ -43,7 +43,7 @@ SIDE_TOLERANCE = 1e-6
 """Tolerance, in nodes, within which a pixel's side coincides with the side of a node's square."""
 
 
-def is_bare(scene: Scene) -> bool:
+def is_terrain_only(scene: Scene) -> bool:
     """Return whether a level has only smooth ground, and no light but the sun."""
     smooth = scene.elevation.surface == "smooth"
     return smooth and set(scene.light_names) <= {SUN} and set(scene.objects.kinds) <= {"relief"}
@@ -65,7 +65,7 @@ def subdivision_level(scene: Scene, view: MapView) -> int:
     count = max(int(np.rint(np.log2(pixel_m / max(cell_m, scene.elevation.resolution_m or 0.0)))), 0)
     while count > 0:
         narrow = scene.world.flat or BLOCK_PX * pixel_m / 2**count <= MAX_PARALLEL_RAYS_M
-        if 4.0**count * block <= (MOST_BARE_NODES if narrow and is_bare(scene) else MAX_NODES):
+        if 4.0**count * block <= (MAX_BARE_NODES if narrow and is_terrain_only(scene) else MAX_NODES):
             break
         count -= 1
     return count
@@ -110,12 +110,12 @@ def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     return row, col
 
 
-def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, there: np.ndarray) -> np.ndarray:
+def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Return means (rows, cols) float32 of values at the valid nodes that each pixel covers; NaN without valid nodes."""
     row, col = _sides_in(view, nodes)
     if values.dtype == np.bool_ and (down := _uniform_weights(row)) and (right := _uniform_weights(col)):
-        return _means_of_bool(values, there, *down, *right, view.rows, view.cols)
-    return _means(values, there, row, col)
+        return _means_of_bool(values, valid, *down, *right, view.rows, view.cols)
+    return _means(values, valid, row, col)
 
 
 def _uniform_weights(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
@@ -154,7 +154,7 @@ def _overlap(sides, i, n):
 
 
 @compiled
-def _means(values, there, row, col):
+def _means(values, valid, row, col):
     rows, cols = row.size - 1, col.size - 1
     out = np.full((rows, cols), np.nan, np.float32)
     for i in range(rows):
@@ -165,7 +165,7 @@ def _means(values, there, row, col):
             for r in range(first_r, end_r):
                 down = _overlap(row, i, r)
                 for c in range(first_c, end_c):
-                    if there[r, c]:
+                    if valid[r, c]:
                         weight = down * _overlap(col, j, c)
                         total_weight += weight
                         total += weight * values[r, c]
@@ -175,10 +175,10 @@ def _means(values, there, row, col):
 
 
 @compiled
-def _means_of_bool(values, there, down, row_weights, right, col_weights, rows, cols):
+def _means_of_bool(values, valid, down, row_weights, right, col_weights, rows, cols):
     """Return ``_means`` of bool values, where all pixels cover squares alike (``_uniform_weights``), in integer arithmetic."""
     out = np.empty((rows, cols), np.float32)
-    wide = there.shape[1]
+    wide = valid.shape[1]
     down_weight, right_weight = 0, 0
     for k in range(row_weights.size):
         down_weight += row_weights[k]
@@ -198,7 +198,7 @@ def _means_of_bool(values, there, down, row_weights, right, col_weights, rows, c
         row_is_valid = True
         for k in range(row_weights.size):
             if row_weights[k] > 0:
-                row_is_valid = _is_all_valid(there[i * down + k]) and row_is_valid
+                row_is_valid = _is_all_valid(valid[i * down + k]) and row_is_valid
         if row_is_valid:
             for k in range(row_weights.size):
                 if row_weights[k] > 0:
@@ -210,8 +210,8 @@ def _means_of_bool(values, there, down, row_weights, right, col_weights, rows, c
         valid_weight[:] = 0
         for k in range(row_weights.size):
             if row_weights[k] > 0:
-                _add_weighted(there[i * down + k], np.int32(row_weights[k]), valid_weight)
-                _add_weighted(there[i * down + k] & values[i * down + k], np.int32(row_weights[k]), total)
+                _add_weighted(valid[i * down + k], np.int32(row_weights[k]), valid_weight)
+                _add_weighted(valid[i * down + k] & values[i * down + k], np.int32(row_weights[k]), total)
         _sum_along(valid_weight, col_weights, pixel_valid_weight)
         _sum_along(total, col_weights, pixel_total)
         for j in range(cols):
@@ -221,10 +221,10 @@ def _means_of_bool(values, there, down, row_weights, right, col_weights, rows, c
 
 
 @internal
-def _is_all_valid(there):
+def _is_all_valid(valid):
     missing = 0
-    for n in range(there.size):
-        missing += 0 if there[n] else 1
+    for n in range(valid.size):
+        missing += 0 if valid[n] else 1
     return missing == 0
 
 

@@ -67,8 +67,8 @@ def geometry_buffer(
 ) -> GeometryBuffer:
     """Return the geometry buffer of a view (of a block, if it is a map).
 
-    ``pixel_mask`` (rows, cols) selects pixels of a map; the others show nothing. ``nodes`` are those that a map shares with other views
-    (``shared_nodes``). Raises ``GraphicsError``.
+    ``pixel_mask`` (rows, cols) selects pixels of a map; the others show nothing. ``nodes`` are those that a map shares with other
+    views (``shared_nodes``). Raises ``GraphicsError``.
     """
     frame = frame or view_frame(scene, view)
     if isinstance(view, PerspectiveView):
@@ -170,7 +170,7 @@ def resolve_buffer(
         draped = image.albedo(points.cells, np.nan_to_num(cells_per_pixel, nan=1.0))
         albedo = np.where((points.kind == RELIEF)[..., None], draped, albedo)
     return GeometryBuffer(
-        view, visible.frame, points.there, points.position, points.height, points.normal, points.shading, points.crease,
+        view, visible.frame, points.valid, points.position, points.height, points.normal, points.shading, points.crease,
         points.kind, ground=ground, corners_frame_m=points.corners, albedo=albedo, tree_instances=trees,
         solids_frame_m=visible.solids,
         samples_from=None if samples is None else view.rows, sample_pixels=None if samples is None else (row, col),
@@ -202,8 +202,8 @@ def _map_buffer(
     heights = low - 100.0, high + scene.objects.tallest_m + 100.0
     drawn = None if solids is None or solid_px is None else (solid_px, solids.triangles)
     seen = rasterise_map(view, drawn, trees, tree_px, px_from_m, heights)
-    albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.there.shape, 3), np.nan, np.float32)
-    corners = np.zeros((*buffer.there.shape, 9), np.float32)
+    albedo = buffer.albedo if buffer.albedo is not None else np.full((*buffer.valid.shape, 3), np.nan, np.float32)
+    corners = np.zeros((*buffer.valid.shape, 9), np.float32)
     solid_parts = SolidsInMap(_NO_POINTS, _NO_POINTS, _NO_FACES)
     if solid_points is not None and solid_px is not None:
         solid_parts = SolidsInMap(solid_points, solid_px, _solid_faces(scene.objects, frame))
@@ -212,7 +212,7 @@ def _map_buffer(
     if trees is not None and tree_px is not None:
         tree_parts = TreesInMap(trees.base_frame_m, tree_px, trees.shape, trees.turn, curvature, px_from_m)
     points = ResolvedPoints(
-        buffer.there, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
+        buffer.valid, buffer.position_frame_m, buffer.height_m, buffer.normal_frame, buffer.shading_normal_frame,
         buffer.crease, buffer.kind, albedo, corners, _NO_CELLS, _NO_LIFT,
     )  # fmt: skip
     resolve_map(

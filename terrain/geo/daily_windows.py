@@ -15,7 +15,7 @@ from skugga.terrain.geo.world import World
 
 DAY_MIN = 1440.0
 
-MOST_DATES = 3700
+MAX_DATES = 3700
 """A decade of dates."""
 
 SOLAR_ROUNDS = 3
@@ -112,8 +112,8 @@ def windows_between(
     ``InputError``, also for ground outside of the earth.
     """
     days = dates_of(first, last, every_days)
-    if len(days) > MOST_DATES:
-        raise InputError.over_limit("to", f"{len(days)} dates", str(MOST_DATES), "Choose an earlier date or a larger step")
+    if len(days) > MAX_DATES:
+        raise InputError.over_limit("to", f"{len(days)} dates", str(MAX_DATES), "Choose an earlier date or a larger step")
     if world.off_earth_reason is not None:
         raise InputError("date", Problem(f"no sun of a date here, since {world.off_earth_reason}"), "Use a level on the earth")
     if not isinstance(clock, str):

@@ -59,27 +59,27 @@ def light_space(world: World, sun: Sun) -> LightSpace:
 
 
 def light_bounds(
-    position_frame_m: np.ndarray, there: np.ndarray, rotation: np.ndarray, translation: np.ndarray
+    position_frame_m: np.ndarray, valid: np.ndarray, rotation: np.ndarray, translation: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the minimum and maximum light-space coordinates (3,), (3,) of the valid frame points.
 
-    Points have the shape (rows, cols, 3), their valid mask ``there`` the shape (rows, cols). Without valid points the result is
+    Points have the shape (rows, cols, 3), their valid mask ``valid`` the shape (rows, cols). Without valid points the result is
     (inf, -inf).
     """
-    ends = np.empty((len(there), 2, 3))
-    run_in_chunks(len(there), _bounds, position_frame_m, there, rotation, translation, ends)
+    ends = np.empty((len(valid), 2, 3))
+    run_in_chunks(len(valid), _bounds, position_frame_m, valid, rotation, translation, ends)
     return ends[:, 0].min(axis=0, initial=np.inf), ends[:, 1].max(axis=0, initial=-np.inf)
 
 
 @compiled
-def _bounds(first, last, position, there, rotation, translation, ends):
+def _bounds(first, last, position, valid, rotation, translation, ends):
     """Compute the bounds of each row."""
     for i in range(first, last):
         out = ends[i]
         out[0] = np.inf
         out[1] = -np.inf
         for j in range(position.shape[1]):
-            if not there[i, j]:
+            if not valid[i, j]:
                 continue
             p = position[i, j]
             for k in range(3):

@@ -31,10 +31,10 @@ MAX_COORDINATE = {True: 540.0, False: 1e9}
 MAX_LATITUDE = 90.0 + 1e-6
 """Maximum latitude in degrees, with a tolerance for rounding in files."""
 
-MOST_COORDINATES = 50_000_000
+MAX_COORDINATES = 50_000_000
 """Maximum number of points of a file's lines and outlines after long edges are divided: some gigabytes."""
 
-MOST_CROSSINGS = 200_000
+MAX_CROSSINGS = 200_000
 """Maximum number of crossings of edges in a file's invalid polygons. Repairing so many takes some ten seconds."""
 
 _EDGES_AT_ONCE = 64
@@ -322,7 +322,8 @@ def _check_coordinates(
         place = ", ".join(f"{v:.10g}" for v in before[bad[0]])
         raise SourceError(
             features.name,
-            f"{features.label(index[bad[0]])}: the coordinates {place} of '{file_crs.name}' cannot be transformed into '{crs.name}'",
+            f"{features.label(index[bad[0]])}: the coordinates {place} of '{file_crs.name}' cannot be transformed "
+            f"into '{crs.name}'",
             "Correct the coordinates or the file's CRS",
         )  # fmt: skip
 
@@ -330,8 +331,8 @@ def _check_coordinates(
 def check_divided_size(source: str, geometry: np.ndarray, longest: float) -> None:
     """Raise ``SourceError`` for lines and outlines with too many points after edges longer than ``longest`` are divided."""
     count = float(np.sum(shapely.get_num_coordinates(geometry) + np.ceil(shapely.length(geometry) / longest)))
-    if count > MOST_COORDINATES:
-        given, limit = f"lines of {count:.3g} points {longest:g} units apart", f"{MOST_COORDINATES:.3g}"
+    if count > MAX_COORDINATES:
+        given, limit = f"lines of {count:.3g} points {longest:g} units apart", f"{MAX_COORDINATES:.3g}"
         raise SourceError.over_limit(source, given, limit, "Use shorter lines")
 
 
@@ -345,8 +346,8 @@ def _check_crossings(source: str, polygons: np.ndarray) -> None:
         tree = shapely.STRtree(edges)
         for first in range(0, len(edges), _EDGES_AT_ONCE):
             count += tree.query(edges[first : first + _EDGES_AT_ONCE], predicate="crosses").shape[1] / 2
-            if count > MOST_CROSSINGS:
-                problem = f"polygons that cross themselves more than {MOST_CROSSINGS} times"
+            if count > MAX_CROSSINGS:
+                problem = f"polygons that cross themselves more than {MAX_CROSSINGS} times"
                 raise SourceError(source, problem, "Use valid polygons")
 
 

@@ -351,8 +351,8 @@ class Device:
         """Read an attachment (-1: the depth) as an array (rows, cols) or (rows, cols, components). Row 0 is the first texel row.
 
         ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for integer 16-bit depths. ``size`` (width,
-        height) limits the read to the first texels. With ``reuse_memory`` the array is the device's own memory, valid until the next such
-        read: allocating memory for a large map costs more than reading it.
+        height) limits the read to the first texels. With ``reuse_memory`` the array is the device's own memory, valid until the
+        next such read: allocating memory for a large map costs more than reading it.
 
         Raises ``GraphicsError`` if the context is not current, so that a mistake never returns stale memory.
         """

@@ -142,8 +142,8 @@ def read_setting(value: str) -> str | tuple[int, ...]:
 def devices_to_try(value: str, devices: Sequence[EglDevice], process_number: int, probe: DeviceProbe) -> list[EglDevice]:
     """Return the devices that a process tries in order, until one creates a context.
 
-    - ``auto`` prefers graphics cards. Processes are distributed (round robin by ``process_number``) over the cards that have the same
-      renderer and version as the first working one: pictures of different drivers differ, and a service has one calibration.
+    - ``auto`` prefers graphics cards. Processes are distributed (round robin by ``process_number``) over the cards that have the
+      same renderer and version as the first working one: pictures of different drivers differ, and a service has one calibration.
     - ``software`` means Mesa's software rasteriser.
     - Device numbers are distributed round robin in the order of the setting; each process tries one device only.
 
@@ -183,7 +183,8 @@ def devices_to_try(value: str, devices: Sequence[EglDevice], process_number: int
         if not first.fault and not chosen_kind.fault and first != chosen_kind:
             raise GraphicsError(
                 f"{EGL_DEVICE}: '{value}' names devices of two kinds, which draw different pictures: {setting[0]} is "
-                f"{first.renderer}, {first.version}; {chosen} is {chosen_kind.renderer}, {chosen_kind.version}. Name devices of one kind."
+                f"{first.renderer}, {first.version}; {chosen} is {chosen_kind.renderer}, {chosen_kind.version}. Name "
+                f"devices of one kind."
             )
     return [devices[chosen]]
 

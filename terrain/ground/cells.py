@@ -31,13 +31,13 @@ def highest_cell(height, row, col):
 
 
 @compiled
-def cell_heights(values, valid, row, col):
+def cell_heights(values, cell_valid, row, col):
     """Return the heights (n, m) float32 of the cells at positions (n, m), NaN where no cell has one, and the valid mask (n, m)."""
     out = np.full(row.shape, np.nan, np.float32)
-    there = np.zeros(row.shape, np.bool_)
+    valid = np.zeros(row.shape, np.bool_)
     for i in range(row.shape[0]):
         for j in range(row.shape[1]):
             r, c = highest_cell(values, row[i, j], col[i, j])
             if r >= 0:
-                out[i, j], there[i, j] = values[r, c], valid[r, c]
-    return out, there
+                out[i, j], valid[i, j] = values[r, c], cell_valid[r, c]
+    return out, valid

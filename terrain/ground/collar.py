@@ -29,14 +29,14 @@ from skugga.terrain.level.level_source import remedy
 
 BORDER_SHARE, HIGH_BORDER_SHARE = 0.05, 0.25
 BEYOND_SHARE = 0.05
-LEAST_DATA = 0.2
+MIN_DATA = 0.2
 """Minimum share of the cells that is ground."""
 
 CLIFF_M, CLIFF_STEPS = 10.0, 8.0
 CLIFF_SHARE = 0.25
 CUT_SHARE = 0.4
 
-LEAST_RIM = 16
+MIN_RIM = 16
 """Minimum number of rim positions that a decision needs."""
 
 RIM_WINDOWS = 64
@@ -166,7 +166,7 @@ def _candidates(cells_read: _StoredCells) -> Iterator[tuple[np.generic, _Region]
             continue
         sizes = np.bincount(pieces.ravel())[1:]
         ground = pieces == sizes.argmax() + 1
-        if sizes.max() >= sizes.sum() / 2 and sizes.max() >= LEAST_DATA * pieces.size:
+        if sizes.max() >= sizes.sum() / 2 and sizes.max() >= MIN_DATA * pieces.size:
             yield values[index], _Region(cells, ground, float((at_border > 0).mean()))
 
 
@@ -174,7 +174,7 @@ def _collar_from_steps(
     cells_read: _StoredCells, region: _Region, value: np.generic, across_m: np.ndarray, behind_m: np.ndarray, unit_m: float
 ) -> Collar | None:
     """Return the collar if the steps (n,) across a region's rim and behind it are those of a collar, else ``None``."""
-    if len(across_m) < LEAST_RIM:
+    if len(across_m) < MIN_RIM:
         return None
     above_m = (cells_read.values[region.ground].astype(np.float64) - float(value)) * unit_m
     below = bool(np.mean(above_m < 0.0) <= BEYOND_SHARE)

@@ -68,7 +68,7 @@ class ColumnWindow:
         First row and column.
     height_m
         Heights, metres, float32 (rows, cols); NaN where no column stands.
-    there
+    valid
         Valid mask (rows, cols): whether the image shows a column.
     frame
         Local frame of ``sheet``.
@@ -78,7 +78,7 @@ class ColumnWindow:
     row0: int
     col0: int
     height_m: np.ndarray
-    there: np.ndarray
+    valid: np.ndarray
     frame: LocalFrame
 
     @property
@@ -174,7 +174,7 @@ class ColumnTops:
 
     Attributes
     ----------
-    there
+    valid
         Valid mask (rows, cols): whether a column shows at the position.
     position_frame_m
         Centres of the tops in a frame, metres, (rows, cols, 3).
@@ -184,7 +184,7 @@ class ColumnTops:
         Unit up vectors at the centres, in the frame, (rows, cols, 3).
     """
 
-    there: np.ndarray
+    valid: np.ndarray
     position_frame_m: np.ndarray
     height_m: np.ndarray
     up_frame: np.ndarray
@@ -212,10 +212,10 @@ def find_columns(surface: Surface, row: np.ndarray, col: np.ndarray, frame: Loca
     window = _enclosing_window(columns, cell_row, cell_col, frame)
     rows, cols = window.height_m.shape
     centres = columns.ground(columns.grid, window.row0, window.col0, rows, cols, frame)
-    cell_row, cell_col, there, position, height, up = _find_tops(
-        window.height_m, window.there, centres, cell_row - window.row0, cell_col - window.col0
+    cell_row, cell_col, valid, position, height, up = _find_tops(
+        window.height_m, window.valid, centres, cell_row - window.row0, cell_col - window.col0
     )
-    return ColumnIndices(window, cell_row, cell_col), ColumnTops(there, position, height, up)
+    return ColumnIndices(window, cell_row, cell_col), ColumnTops(valid, position, height, up)
 
 
 def _enclosing_window(columns: Columns, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> ColumnWindow:
@@ -263,28 +263,28 @@ def _interpolate_at(exact, first_row, first_col, stride, row, col):
 
 
 @compiled
-def _find_tops(height, valid, centres, row, col):
+def _find_tops(height, top_valid, centres, row, col):
     """Look up the columns at positions (n, m) of a window.
 
     Returns row and column of each cell (-1 where it has none), the valid mask, the centre of its top, its height and its up vector.
     """
     cell_row, cell_col = np.full(row.shape, -1, np.int32), np.full(row.shape, -1, np.int32)
-    there = np.zeros(row.shape, np.bool_)
+    valid = np.zeros(row.shape, np.bool_)
     point = np.full((row.shape[0], row.shape[1], 3), np.nan)
     level = np.full(row.shape, np.nan, np.float32)
     up = np.full((row.shape[0], row.shape[1], 3), np.nan, np.float32)
     for i in range(row.shape[0]):
         for j in range(row.shape[1]):
             r, c = highest_cell(height, row[i, j], col[i, j])
-            if r < 0 or not valid[r, c] or not np.isfinite(centres[r, c, 0]):
+            if r < 0 or not top_valid[r, c] or not np.isfinite(centres[r, c, 0]):
                 continue
-            there[i, j] = True
+            valid[i, j] = True
             cell_row[i, j], cell_col[i, j] = r, c
             level[i, j] = height[r, c]
             for k in range(3):
                 point[i, j, k] = centres[r, c, k] + np.float64(height[r, c]) * centres[r, c, k + 3]
                 up[i, j, k] = centres[r, c, k + 3]
-    return cell_row, cell_col, there, point, level, up
+    return cell_row, cell_col, valid, point, level, up
 
 
 @compiled

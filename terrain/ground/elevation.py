@@ -234,8 +234,8 @@ class Elevation:
 
         Longitudes are wrapped. Cells are read in blocks of ``READ_BLOCK_CELLS`` a side.
         """
-        height, there = self._at_points(x, y)
-        return np.where(there, height, np.nan)
+        height, valid = self._at_points(x, y)
+        return np.where(valid, height, np.nan)
 
     def filled_ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
         """Return the same heights as ``ground_m``, with holes filled as for casting; NaN off the raster and far from any data.
@@ -254,7 +254,7 @@ class Elevation:
     def _at_points(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights at coordinates, metres, float64, holes filled, NaN without data nearby; and the valid mask."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
-        height, there = np.full(x.size, np.nan), np.zeros(x.size, bool)
+        height, valid = np.full(x.size, np.nan), np.zeros(x.size, bool)
         on = np.flatnonzero(self.covers(x, y))
         row, col = self.cell_of(self._wrap_longitudes(x.ravel()[on]), y.ravel()[on])
         block = np.floor(row / READ_BLOCK_CELLS).astype(np.int64) * (self.cols + 1) + np.floor(col / READ_BLOCK_CELLS).astype(
@@ -262,10 +262,10 @@ class Elevation:
         )
         order = np.argsort(block, kind="stable")
         for block_points in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
-            height[on[block_points]], there[on[block_points]] = (
+            height[on[block_points]], valid[on[block_points]] = (
                 v[0] for v in self.heights_at(0, row[None, block_points], col[None, block_points])
             )
-        return height.reshape(x.shape), there.reshape(x.shape)
+        return height.reshape(x.shape), valid.reshape(x.shape)
 
     def cell_size_m(self, metres_per_unit: float) -> float:
         """Return the side of a cell on the ground at the raster's centre, metres: the square root of its area.
@@ -306,12 +306,12 @@ class Elevation:
         row0, row1 = max(row0, 0), min(row1, rows)
         if not self._wrap:
             col0, col1 = max(col0, 0), min(col1, cols)
-        values, valid = self._filled(level, row0, row1, col0, col1)
+        values, cell_valid = self._filled(level, row0, row1, col0, col1)
         if self.surface == "blocks":
-            height, there = cell_heights(values, valid, row - row0, col - col0)
+            height, valid = cell_heights(values, cell_valid, row - row0, col - col0)
         else:
-            height, there = bilinear(values, valid, bool(valid.all()), row, col, np.float64(row0), np.float64(col0))
-        return self._above_water(height), there
+            height, valid = bilinear(values, cell_valid, bool(cell_valid.all()), row, col, np.float64(row0), np.float64(col0))
+        return self._above_water(height), valid
 
     def _above_water(self, height_m: np.ndarray) -> np.ndarray:
         """Return the surface over ground, float32: water where it is higher, NaN where the ground is missing."""

@@ -44,14 +44,14 @@ def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
 
 
 @compiled
-def bilinear(values, valid, all_valid, row, col, row0, col0):
+def bilinear(values, cell_valid, all_valid, row, col, row0, col0):
     """Return bilinear heights float32 at (row, col) of a window that begins at (row0, col0), and the nearest cells' validity.
 
     Positions beyond the outer centres are clamped. ``all_valid`` is whether all cells are valid.
     """
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)
-    there = np.empty(row.shape, np.bool_)
+    valid = np.empty(row.shape, np.bool_)
     corner, nearest = np.empty((2, row.shape[1]), np.int32), np.empty((2, row.shape[1]), np.int32)
     fraction, four = np.empty((2, row.shape[1])), np.empty((4, row.shape[1]), np.float32)
     for i in range(row.shape[0]):
@@ -61,11 +61,11 @@ def bilinear(values, valid, all_valid, row, col, row0, col0):
         _interpolate(four[0], four[1], four[2], four[3], fraction[0], fraction[1], out[i])
         if all_valid:
             for j in range(row.shape[1]):
-                there[i, j] = not np.isnan(row[i, j])
+                valid[i, j] = not np.isnan(row[i, j])
         else:
             for j in range(row.shape[1]):
-                there[i, j] = not np.isnan(row[i, j]) and valid[nearest[0, j], nearest[1, j]]
-    return out, there
+                valid[i, j] = not np.isnan(row[i, j]) and cell_valid[nearest[0, j], nearest[1, j]]
+    return out, valid
 
 
 @internal

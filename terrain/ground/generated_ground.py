@@ -31,7 +31,7 @@ STRIP_ROWS = 128
 COARSEST_CELLS = 48
 """Cells along the longest side of the grid on which main valleys form."""
 
-MOST_HALVINGS = 4
+MAX_HALVINGS = 4
 """Maximum number of refinements of the eroded grid.
 
 Rivers reach down to cells of 1/768 of the side of the generated ground. Finer slopes get their roughness from noise.
@@ -120,7 +120,7 @@ def _uplift_and_erode(rows: int, cols: int, seed: int, uplift: Callable[[np.ndar
     ``uplift`` is a function of columns x (n,) and rows y (m,), in units of the longest side of the part shown.
     """
     longest = max(rows, cols)
-    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS / COARSEST_CELLS)), 0, MOST_HALVINGS))
+    halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS / COARSEST_CELLS)), 0, MAX_HALVINGS))
     # The shorter side gets cells in proportion, but enough for a valley.
     nodes_y, nodes_x = (max(round(COARSEST_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
     x, y = (np.arange(n) * (SURROUNDINGS / COARSEST_CELLS) for n in (nodes_x, nodes_y))

@@ -11,15 +11,15 @@ from rasterio.errors import RasterioError
 from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.axes import axes_of
 
-MOST_LATITUDE_DEG = 91.0
+MAX_LATITUDE_DEG = 91.0
 """Files overshoot the poles by up to a cell."""
 
-MOST_LONGITUDE_DEG = 540.0
+MAX_LONGITUDE_DEG = 540.0
 
 DEGREES_CELL = 0.02
 """Cell size, in units of a projected CRS, below which coordinates in the range of degrees are probably degrees."""
 
-MOST_CELL_M = 50_000.0
+MAX_CELL_M = 50_000.0
 """Maximum side of a cell in a projected CRS, metres: a block of a thousand such cells reaches round the earth."""
 
 STATE_CRS_HINT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
@@ -61,7 +61,7 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
     x, y = gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
     west, south, east, north = float(x.min()), float(y.min()), float(x.max()), float(y.max())
     looks_like_degrees = (
-        -MOST_LONGITUDE_DEG <= west <= east <= MOST_LONGITUDE_DEG and -MOST_LATITUDE_DEG <= south <= north <= MOST_LATITUDE_DEG
+        -MAX_LONGITUDE_DEG <= west <= east <= MAX_LONGITUDE_DEG and -MAX_LATITUDE_DEG <= south <= north <= MAX_LATITUDE_DEG
     )
     small = max(abs(gt.a), abs(gt.b), abs(gt.d), abs(gt.e)) < DEGREES_CELL
     where = f"x from {west:.7g} to {east:.7g} and y from {south:.7g} to {north:.7g}"
@@ -80,7 +80,7 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
         raise SourceError(source, "it is not georeferenced", "Give a raster with a geotransform")
     check_cells(source, dataset)
     west, south, east, north = axes_of(crs).bounds_xy((west, south, east, north))
-    if crs.is_geographic and not (max(-west, east) <= MOST_LONGITUDE_DEG and max(-south, north) <= MOST_LATITUDE_DEG):
+    if crs.is_geographic and not (max(-west, east) <= MAX_LONGITUDE_DEG and max(-south, north) <= MAX_LATITUDE_DEG):
         unit = crs.axis_info[0].unit_name
         whole = "degrees, latitudes from -90 to 90" if unit.startswith("degree") else f"coordinates in its unit, the {unit}"
         raise SourceError(
@@ -95,7 +95,7 @@ def checked_crs(source: str, dataset: rasterio.DatasetReader) -> CRS:
             f"Give coordinates of that CRS, or state the CRS of these, such as EPSG:4326 ({STATE_CRS_HINT})",
         )  # fmt: skip
     unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0)
-    if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MOST_CELL_M:
-        problem = f"its cells of {cell_m / 1000.0:.4g} km exceed the limit of {MOST_CELL_M / 1000.0:g} km in {crs.name}"
+    if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MAX_CELL_M:
+        problem = f"its cells of {cell_m / 1000.0:.4g} km exceed the limit of {MAX_CELL_M / 1000.0:g} km in {crs.name}"
         raise SourceError(source, problem, "Check its geotransform and its CRS")
     return crs.to_2d() if len(crs.axis_info) == 3 else crs

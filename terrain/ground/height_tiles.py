@@ -36,7 +36,7 @@ def tiled_heights(
 ) -> Heights:
     """Return the result of ``read(row0, col0, rows, cols)`` for a window of a grid's nodes, assembled from cached tiles."""
     owner = grid_key(world, elevation, grid)
-    height, there = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
+    height, valid = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
     for row, top, bottom in _tile_ranges(row0, rows):
         for col, left, right in _tile_ranges(col0, cols):
             first_row, first_col = row * TILE_NODES - RIM_NODES, col * TILE_NODES - RIM_NODES
@@ -47,11 +47,11 @@ def tiled_heights(
                 tile = values if np.isfinite(values[0]).any() else None
                 _tiles.put(owner, row, col, value=tile)
             if tile is None:
-                height[target], there[target] = np.nan, False
+                height[target], valid[target] = np.nan, False
             else:
                 source = slice(top - first_row, bottom - first_row), slice(left - first_col, right - first_col)
-                height[target], there[target] = tile[0][source], tile[1][source]
-    return height, there
+                height[target], valid[target] = tile[0][source], tile[1][source]
+    return height, valid
 
 
 def _tile_ranges(first: int, count: int) -> list[tuple[int, int, int]]:

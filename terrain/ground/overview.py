@@ -18,7 +18,7 @@ from skugga.terrain.ground.open_raster import EXACT_HIGH_CELLS
 OVERVIEW_CELLS = 512
 """Longest side, in cells, of the overview that provides reach and relief."""
 
-MOST_CELLS_READ = 1_000_000_000
+MAX_CELLS_READ = 1_000_000_000
 """Maximum cells read for that overview if the file has no overview near its level.
 
 Reading them takes some ten seconds, and as long for a zoomed-out tile.
@@ -27,7 +27,7 @@ Reading them takes some ten seconds, and as long for a zoomed-out tile.
 MAX_OVERVIEW_RATIO = 4
 """Maximum ratio between successive overviews of a file: a coarse window then reads 16 cells for one."""
 
-FINE_LEVEL, MOST_FINE_CELLS = 5, 16_000_000
+FINE_LEVEL, MAX_FINE_CELLS = 5, 16_000_000
 """Level whose maxima are kept besides those of a coarser overview, and the maximum cells of these.
 
 The level is a coarser one if ``FINE_LEVEL`` itself has more cells.
@@ -107,9 +107,9 @@ def check_overviews(source: str, rows: int, cols: int, factors: Sequence[int]) -
     """Raise ``SourceError`` if a raster's overview would read too many cells. The message names the command that helps."""
     level = overview_level(rows, cols)
     coarsest = max((factor for factor in factors if factor <= 2**level), default=1)
-    if rows * cols > MOST_CELLS_READ * coarsest**2:
+    if rows * cols > MAX_CELLS_READ * coarsest**2:
         had = f"it has {cols} x {rows} cells and " + ("no overviews" if coarsest == 1 else f"overviews of {coarsest} cells at most")
-        needed = f"a raster of more than {MOST_CELLS_READ / 1e6:,.0f} million cells needs coarse overviews"
+        needed = f"a raster of more than {MAX_CELLS_READ / 1e6:,.0f} million cells needs coarse overviews"
         raise SourceError(source, f"{had}; {needed}", f"Make overviews beside it with '{overviews_command(source)}' or gdaladdo")
 
 
@@ -124,7 +124,7 @@ def read_overview(ground: LevelReader, rows: int, cols: int) -> Overview:
     if rows * cols > EXACT_HIGH_CELLS:
         ground.read(level, 0, shape[0], 0, shape[1])  # single cells, to find undeclared sentinels
         ground.settle()
-        fine_level = max(_finest_level(rows, cols, level, MOST_FINE_CELLS), min(FINE_LEVEL, level))
+        fine_level = max(_finest_level(rows, cols, level, MAX_FINE_CELLS), min(FINE_LEVEL, level))
         fine, lowest_m = _estimated_high(ground, fine_level, _finest_level(rows, cols, fine_level, EXACT_HIGH_CELLS), level)
         high = _block_maxima(fine, 2 ** (level - fine_level))
         means = ground.read(level, 0, shape[0], 0, shape[1])

@@ -42,4 +42,7 @@ def _nodata_warning(elevation: Elevation) -> str:
 
 
 def _units_warning(elevation: Elevation) -> str:
-    return f"{elevation.vertical.statement}, but {elevation.vertical.conflicting_unit}. State the right unit: {remedy('units', 'UNIT')}"
+    return (
+        f"{elevation.vertical.statement}, but {elevation.vertical.conflicting_unit}. State the right unit: "
+        f"{remedy('units', 'UNIT')}"
+    )

@@ -162,8 +162,8 @@ def hidden_sky(height_m: np.ndarray, across_m: np.ndarray, down_m: np.ndarray, c
 def _sector(aside: int, spacing_ratio: np.ndarray) -> np.ndarray:
     """Return the widths (rows,), in radians, of the sector of azimuths that a line represents: half-way to the neighbouring lines.
 
-    The line goes ``aside`` half-nodes sideways for each node ahead. ``spacing_ratio`` (rows,) is the sideways spacing of nodes over the
-    spacing ahead.
+    The line goes ``aside`` half-nodes sideways for each node ahead. ``spacing_ratio`` (rows,) is the sideways spacing of nodes over
+    the spacing ahead.
     """
     angles = {0: np.arctan(spacing_ratio / 2), 1: np.arctan(spacing_ratio) / 2}
     if abs(aside) < 2:
@@ -210,8 +210,8 @@ def _light(tangent, rise):
 def _sweep_lines(height, slope, ahead_m, aside_m, by_row, sector, aside, direction, curvature, out):
     """Add the light that the ground passed hides, along all lines that go ``aside`` half-rows for each column.
 
-    ``direction`` is the direction, 1 or -1. ``by_row`` is whether the distances, which are per raster row, belong to this array's rows or
-    to its columns.
+    ``direction`` is the direction, 1 or -1. ``by_row`` is whether the distances, which are per raster row, belong to this array's
+    rows or to its columns.
     """
     rows, cols = height.shape
     low, high = min(0, -aside * (cols - 1)), 2 * (rows - 1) + max(0, -aside * (cols - 1))

@@ -37,14 +37,14 @@ class HeightWindow:
         First row and column.
     height_m
         float32 (rows, cols), metres; holes are filled, NaN where no surface can be (off the data).
-    there
+    valid
         Valid mask (rows, cols): whether the image shows a surface. Filled holes are not valid.
     """
 
     row0: int
     col0: int
     height_m: np.ndarray
-    there: np.ndarray
+    valid: np.ndarray
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -78,9 +78,9 @@ class RefinedWindow:
         return _refined(self.coarser.height_m, self.row0 % 2, self.col0 % 2, *self.shape)
 
     @cached_property
-    def there(self) -> np.ndarray:
+    def valid(self) -> np.ndarray:
         """Valid mask (rows, cols)."""
-        return _refined_valid(self.coarser.there, self.row0 % 2, self.col0 % 2, *self.shape)
+        return _refined_valid(self.coarser.valid, self.row0 % 2, self.col0 % 2, *self.shape)
 
 
 NodeHeights = HeightWindow | RefinedWindow
@@ -144,12 +144,12 @@ class Surface:
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> SurfaceWindow:
         """Return the nodes of a window, in a frame."""
-        height, there = self.heights(row0, col0, rows, cols)
+        height, valid = self.heights(row0, col0, rows, cols)
         exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         position = _positions(exact, exact_rows, exact_cols, self.stride, row0, col0, height)
-        there &= np.isfinite(position[..., 2])
+        valid &= np.isfinite(position[..., 2])
         centre = np.array([0.0, 0.0, -np.inf]) if self.world.flat else frame.points_from_earth(np.zeros(3))
-        return SurfaceWindow(row0, col0, height, there, position, centre)
+        return SurfaceWindow(row0, col0, height, valid, position, centre)
 
     def exact_verticals(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> tuple[np.ndarray, int, int]:
         """Return points of height 0 and unit up vectors (m, n, 6), in a frame, of the exact nodes that a window needs.
@@ -166,11 +166,11 @@ class Surface:
             coarser = Surface(self.world, self.elevation, self.grid.coarser(1))
             window = coarser.height_window(*_coarser_window(row0, col0, rows, cols))
             if isinstance(window, RefinedWindow):
-                window = HeightWindow(window.row0, window.col0, window.height_m, window.there)
+                window = HeightWindow(window.row0, window.col0, window.height_m, window.valid)
             return RefinedWindow(row0, col0, (rows, cols), window)
-        height, there = tiled_heights(self.world, self.elevation, self.grid, self.heights, row0, col0, rows, cols)
-        there &= np.isfinite(height)
-        return HeightWindow(row0, col0, height, there)
+        height, valid = tiled_heights(self.world, self.elevation, self.grid, self.heights, row0, col0, rows, cols)
+        valid &= np.isfinite(height)
+        return HeightWindow(row0, col0, height, valid)
 
     def positions(self, row: np.ndarray, col: np.ndarray, height_m: np.ndarray, frame: LocalFrame) -> np.ndarray:
         """Return frame points (n, 3) float64 of single nodes with their heights, bit for bit those of a window."""
@@ -181,7 +181,8 @@ class Surface:
         exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         out = np.empty((len(row), 3))
         run_in_chunks(
-            len(row), _positions_of_nodes, exact, exact_rows, exact_cols, self.stride, row.astype(np.int64), col.astype(np.int64), height_m,
+            len(row), _positions_of_nodes, exact, exact_rows, exact_cols, self.stride, row.astype(np.int64),
+            col.astype(np.int64), height_m,
             out,
         )  # fmt: skip
         return out
@@ -214,8 +215,8 @@ class Surface:
         """Return heights in metres (float32) of a window's nodes, and the valid mask."""
         if self.grid.refines:
             coarser, window = Surface(self.world, self.elevation, self.grid.coarser(1)), _coarser_window(row0, col0, rows, cols)
-            height, there = coarser.heights(*window)
-            return _refined(height, row0 % 2, col0 % 2, rows, cols), _refined_valid(there, row0 % 2, col0 % 2, rows, cols)
+            height, valid = coarser.heights(*window)
+            return _refined(height, row0 % 2, col0 % 2, rows, cols), _refined_valid(valid, row0 % 2, col0 % 2, rows, cols)
         stride = self.stride
         exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
         cell = self.cells_of(x, y)
@@ -337,11 +338,11 @@ def _quad_middle(west, east, south_west, south_east):
 
 
 @compiled
-def _refined_valid(there, row0, col0, rows, cols):
+def _refined_valid(valid, row0, col0, rows, cols):
     """Return the valid mask (rows, cols) at the same positions: valid where both ends of a diagonal are."""
     out = np.empty((rows, cols), np.bool_)
     for i in range(rows):
-        _refined_row_valid(there[(row0 + i) // 2], there[(row0 + i + 1) // 2], col0, out[i])
+        _refined_row_valid(valid[(row0 + i) // 2], valid[(row0 + i + 1) // 2], col0, out[i])
     return out
 
 

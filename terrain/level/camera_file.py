@@ -22,11 +22,11 @@ from skugga.terrain.level.level_text import parse_level_text
 from skugga.terrain.level.model import Model, Position
 from skugga.terrain.level.parts import PixelCount, parse_time
 
-MOST_KEYS = 1000
+MAX_KEYS = 1000
 """Maximum number of keys of a camera path."""
 
-MOST_FILE_CHARACTERS = 2**20
-"""Maximum length of a camera file: far more than ``MOST_KEYS`` keys need."""
+MAX_FILE_CHARACTERS = 2**20
+"""Maximum length of a camera file: far more than ``MAX_KEYS`` keys need."""
 
 ALLOWED_KEY_TIMES = "a time since the first frame, such as 0s, 90s or 10m, or an ISO 8601 time with an offset"
 """The allowed times of a key, for messages."""
@@ -88,7 +88,7 @@ class CameraPathSpec(Model):
     Either all times count from the first frame, or all are dates. ``size`` is that of the pictures, (width, height) in pixels.
     """
 
-    keys: Annotated[tuple[CameraKey, ...], Field(min_length=2, max_length=MOST_KEYS)]
+    keys: Annotated[tuple[CameraKey, ...], Field(min_length=2, max_length=MAX_KEYS)]
     size: tuple[PixelCount, PixelCount] = (1280, 1024)
 
     @model_validator(mode="after")
@@ -129,12 +129,12 @@ def load_camera_path(path: Path) -> CameraPathSpec:
         raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE)
     try:
         with path.open(encoding="utf-8") as file:
-            text = file.read(MOST_FILE_CHARACTERS + 1)
+            text = file.read(MAX_FILE_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
         raise LevelError(str(path), Problem(reason), _READABLE) from None
-    if len(text) > MOST_FILE_CHARACTERS:
-        raise LevelError(str(path), Problem(f"more than {MOST_FILE_CHARACTERS} characters"), "Use a shorter file")
+    if len(text) > MAX_FILE_CHARACTERS:
+        raise LevelError(str(path), Problem(f"more than {MAX_FILE_CHARACTERS} characters"), "Use a shorter file")
     try:
         data = parse_level_text(text)
     except YAMLError as error:

@@ -21,7 +21,7 @@ from skugga.terrain.level.data_files import special_file_kind
 from skugga.terrain.level.data_roots import DataRoots
 from skugga.terrain.level.level_errors import UNKNOWN_KEY, level_error
 from skugga.terrain.level.level_source import LEVEL_KEYS_BY_OPTION, LevelSource
-from skugga.terrain.level.level_text import MOST_CHARACTERS, parse_level_text
+from skugga.terrain.level.level_text import MAX_CHARACTERS, parse_level_text
 from skugga.terrain.level.linked_files import is_remote, linked_files
 from skugga.terrain.level.model import Model
 from skugga.terrain.level.motion import ClockSeconds
@@ -473,12 +473,12 @@ def _load(source: LevelSource) -> LoadedLevel:
         raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE)
     try:
         with path.open(encoding="utf-8") as level_file:
-            text = level_file.read(MOST_CHARACTERS + 1)
+            text = level_file.read(MAX_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
         raise LevelError(str(path), Problem(reason), _READABLE) from None
-    if len(text) > MOST_CHARACTERS:
-        raise LevelError(str(path), Problem(f"more than {MOST_CHARACTERS} characters"), "Use a shorter file")
+    if len(text) > MAX_CHARACTERS:
+        raise LevelError(str(path), Problem(f"more than {MAX_CHARACTERS} characters"), "Use a shorter file")
     try:
         data = parse_level_text(text)
     except (ValueError, RecursionError, YAMLError) as error:  # also of an impossible date, or too deeply nested brackets

@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails
 
 from skugga.terrain.errors import LevelError, Problem, combined_error
 
-MOST_ERRORS = 1000
+MAX_ERRORS = 1000
 """Maximum number of pydantic errors that are examined, because each is compared with every other."""
 
 UNKNOWN_KEY = "unknown_key"
@@ -39,7 +39,7 @@ def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
     if [error["loc"] for error in errors] == [()] and (error_keys := _LEVEL_ERROR_KEYS.get(errors[0]["type"])):
         part, key = error_keys
         errors = [{**errors[0], "loc": (part, key), "input": data[part][key]}]
-    errors = errors[:MOST_ERRORS]
+    errors = errors[:MAX_ERRORS]
     errors_by_key: dict[_Keys, list[ErrorDetails]] = {}
     for error in _drop_unlikely_branches(data, errors):
         errors_by_key.setdefault(_keys(data, error), []).append(error)

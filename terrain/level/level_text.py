@@ -11,13 +11,13 @@ from ruamel.yaml.constructor import SafeConstructor
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
-MOST_VALUES = 100_000
+MAX_VALUES = 100_000
 """Maximum number of values and keys of a file after alias expansion: enough for some 30,000 positions of a model.
 
 Without a limit, nine levels of nine aliases each expand to gigabytes.
 """
 
-MOST_CHARACTERS = 2**24
+MAX_CHARACTERS = 2**24
 """Maximum length of a file's text."""
 
 MAX_DEPTH = 32
@@ -30,7 +30,7 @@ _CONTROL_CHARACTERS = re.compile("[\x01-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\ud
 def parse_level_text(text: str) -> Any:
     """Return the values of a level file. Expands aliases and merge keys.
 
-    Raises ``YAMLError`` for malformed YAML, more than ``MOST_VALUES`` values, a depth over ``MAX_DEPTH``, and control characters.
+    Raises ``YAMLError`` for malformed YAML, more than ``MAX_VALUES`` values, a depth over ``MAX_DEPTH``, and control characters.
     Raises ``ValueError`` for a value that its type does not allow, such as an impossible date.
     """
     yaml = YAML(typ="safe", pure=True)
@@ -48,8 +48,8 @@ class _BoundedComposer(Composer):
         mark = self.parser.peek_event().start_mark
         if self._depth > MAX_DEPTH:
             raise MarkedYAMLError(problem=f"more than {MAX_DEPTH} nested lists and mappings", problem_mark=mark)
-        if self._count > MOST_VALUES:
-            raise MarkedYAMLError(problem=f"more than {MOST_VALUES} values", problem_mark=mark)
+        if self._count > MAX_VALUES:
+            raise MarkedYAMLError(problem=f"more than {MAX_VALUES} values", problem_mark=mark)
         node = super().compose_node(parent, index)
         self._depth -= 1
         if isinstance(node, ScalarNode) and (found := _CONTROL_CHARACTERS.search(node.value)):
@@ -82,7 +82,7 @@ def _expanded_size(node: Node, sizes: dict[int, tuple[int, int] | None]) -> tupl
     count, depth = 1 + sum(counts), 1 + max(depths, default=0)
     if depth > MAX_DEPTH:
         raise MarkedYAMLError(problem=f"more than {MAX_DEPTH} nested lists and mappings", problem_mark=node.start_mark)
-    if count > MOST_VALUES:
-        raise MarkedYAMLError(problem=f"more than {MOST_VALUES} values after alias expansion", problem_mark=node.start_mark)
+    if count > MAX_VALUES:
+        raise MarkedYAMLError(problem=f"more than {MAX_VALUES} values after alias expansion", problem_mark=node.start_mark)
     sizes[id(node)] = count, depth
     return count, depth

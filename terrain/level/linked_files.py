@@ -24,10 +24,10 @@ VRT_ROOTS = ("VRTDataset", "OGRVRTDataSource")
 MODEL_FILE_SUFFIXES = (".obj", ".mtl", ".ply", ".gltf", ".glb")
 """Suffixes of model files and of their materials."""
 
-MOST_XML_BYTES = 64 * 2**20
+MAX_XML_BYTES = 64 * 2**20
 """Maximum size of a virtual raster's text: some 100,000 parts."""
 
-MOST_LINKED_FILES = 200_000
+MAX_LINKED_FILES = 200_000
 """Maximum number of files that a file refers to, directly or indirectly."""
 
 VECTOR_XML_ROOTS = ("kml", "FeatureCollection", "gpx", "osm", "osmChange", "svg", "feed", "rss", "JCSDataFile")
@@ -77,7 +77,7 @@ def linked_files(source: str) -> tuple[str, ...]:
     """
     links: dict[str, None] = {}
     queue = [source]
-    while queue and len(links) < MOST_LINKED_FILES:
+    while queue and len(links) < MAX_LINKED_FILES:
         current = queue.pop(0)
         for link in _direct_links(current):
             if link != source and link not in links:
@@ -100,7 +100,7 @@ def vrt_elements(path: Path) -> ElementTree.Element | None:
     """Return the root element of a virtual raster or vector file; ``None`` for any other file and for an unreadable one."""
     try:
         with path.open("rb") as file:
-            if xml_head(file.read(4096)) not in VRT_ROOTS or path.stat().st_size > MOST_XML_BYTES:
+            if xml_head(file.read(4096)) not in VRT_ROOTS or path.stat().st_size > MAX_XML_BYTES:
                 return None
         return ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError):
@@ -151,7 +151,7 @@ def _service_addresses(path: Path) -> Iterator[str]:
         root = xml_head(head := file.read(4096))
         if root is None or root in VECTOR_XML_ROOTS:
             return
-        text = head + file.read(MOST_XML_BYTES)
+        text = head + file.read(MAX_XML_BYTES)
     yield from _ADDRESS.findall(text.decode("utf-8", "replace"))
 
 
@@ -196,9 +196,9 @@ def gltf_parts(path: Path, part: str) -> list[dict[str, Any]]:
     with path.open("rb") as file:
         head = file.read(20)
         if head[:4] == b"glTF":
-            text = file.read(min(int.from_bytes(head[12:16], "little"), MOST_XML_BYTES))
+            text = file.read(min(int.from_bytes(head[12:16], "little"), MAX_XML_BYTES))
         else:
-            text = head + file.read(MOST_XML_BYTES)
+            text = head + file.read(MAX_XML_BYTES)
     data = json.loads(text)
     stated = data.get(part) if isinstance(data, dict) else None
     return [each for each in stated if isinstance(each, dict)] if isinstance(stated, list) else []

@@ -11,10 +11,10 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from skugga.terrain.level.model import Coordinate, MapPosition, Model
 
-LEAST_KEY_STEP_S = 0.001
+MIN_KEY_STEP_S = 0.001
 """Minimum time between two keys of a path, seconds."""
 
-MOST_PATH_KEYS = 10_000
+MAX_PATH_KEYS = 10_000
 """Maximum number of keys of a path."""
 
 ClockSeconds = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -92,8 +92,8 @@ def _key_errors(keys: Sequence[_Key], loop: bool) -> list[tuple[KeyPath, object,
         return [(("path",), [key.model_dump(exclude_none=True) for key in keys], "at least two keys")]
     wrong: list[tuple[KeyPath, object, str]] = []
     for number, (previous, following) in enumerate(pairwise(keys), start=1):
-        if not following.seconds - previous.seconds >= LEAST_KEY_STEP_S:
-            allowed = f"seconds that increase by at least {LEAST_KEY_STEP_S} from key to key: the previous has {previous.seconds:g}"
+        if not following.seconds - previous.seconds >= MIN_KEY_STEP_S:
+            allowed = f"seconds that increase by at least {MIN_KEY_STEP_S} from key to key: the previous has {previous.seconds:g}"
             wrong.append((("path", number, "seconds"), following.seconds, allowed))
     if loop:
         for name in ("position", "target"):
@@ -116,7 +116,7 @@ class MeshMotion(_Path):
     """
 
     spin: float = Field(default=0.0, ge=-1e6, le=1e6)
-    path: Annotated[tuple[PathKey, ...], Field(max_length=MOST_PATH_KEYS)] | None = None
+    path: Annotated[tuple[PathKey, ...], Field(max_length=MAX_PATH_KEYS)] | None = None
     face: Literal["fixed", "along"] = "fixed"
 
     @model_validator(mode="after")
@@ -144,7 +144,7 @@ class MeshMotion(_Path):
 class LampMotion(_Path):
     """How a lamp moves by the level's clock: all keys have a position, all have a spot's target, or all have both."""
 
-    path: Annotated[tuple[LampKey, ...], Field(max_length=MOST_PATH_KEYS)]
+    path: Annotated[tuple[LampKey, ...], Field(max_length=MAX_PATH_KEYS)]
 
     @model_validator(mode="after")
     def _check_path(self) -> Self:

@@ -20,7 +20,7 @@ NEUTRAL = (0.6, 0.6, 0.6)
 CREASE_DEG = 30.0
 """Largest angle between two faces that are shaded as one curved surface."""
 
-MOST_SMOOTHED = 512
+MAX_SMOOTHED = 512
 """Maximum number of corners at a vertex whose normals are smoothed, since their faces are compared pair by pair.
 
 More corners meet in the middle of a large fan, or if faces coincide. Each face then has its own normal, because differences between
@@ -188,7 +188,7 @@ def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
     first = np.concatenate([[0], np.cumsum(np.bincount(places.ravel(), minlength=count))])
     # A tolerance, so that rounding does not separate faces at exactly the crease angle.
     least_cos = np.cos(np.radians(min(crease_deg, 180.0))) - 1e-9
-    normals = _smoothed_normals(body.vertices_m[body.triangles], corner_of_place, first, least_cos, MOST_SMOOTHED)
+    normals = _smoothed_normals(body.vertices_m[body.triangles], corner_of_place, first, least_cos, MAX_SMOOTHED)
     normals.flags.writeable = False
     return normals
 

@@ -43,10 +43,10 @@ MAX_BUILDING_HEIGHT_M = 1000.0
 OUTLINE_TOLERANCE_M = 0.001
 """Tolerance for simplifying outlines."""
 
-MOST_CORNERS = 20_000
+MAX_CORNERS = 20_000
 """Maximum number of corners of a footprint with its courtyards. Its roof then takes up to some ten seconds."""
 
-MOST_CORNERS_OF_ALL = 3_000_000
+MAX_CORNERS_OF_ALL = 3_000_000
 """Maximum number of corners of all footprints of a file: twelve million triangles."""
 
 DEGREE_M = 111_320.0
@@ -55,10 +55,10 @@ ROOF_PERCENTILE = 90.0
 """Percentile of the surface in a footprint that is its roof: below chimneys and overhanging crowns, above light wells and
 blurred eaves."""
 
-LEAST_MEASURED_M = 1.5
+MIN_MEASURED_M = 1.5
 """Minimum height of a building in a surface raster. Lower ones are noise, a terrace, or demolished since."""
 
-LEAST_KNOWN = 0.5
+MIN_KNOWN = 0.5
 """Minimum share of a footprint with valid ground to be placed, or with a valid surface to be measured."""
 
 MAX_WRONG_FLOOR_SHARE = 0.5
@@ -121,7 +121,7 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
 
     Heights are ``spec.height`` (metres, or an attribute's name), else those of ``spec.surface`` above ``spec.ground``, else those
     of the attributes that ``height_attributes`` recognises. Omits a footprint whose height is unknown, not above 0, not above its
-    floor, or measured and below ``LEAST_MEASURED_M``, and one without ground under most of it. ``where`` is the key's path.
+    floor, or measured and below ``MIN_MEASURED_M``, and one without ground under most of it. ``where`` is the key's path.
 
     Raises ``SourceError`` for an unusable file, ``LevelError`` if no source of heights exists.
     """
@@ -146,12 +146,12 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
             "Check its unit",
         )
     with np.errstate(invalid="ignore"):
-        has_height = height >= LEAST_MEASURED_M if spec.surface else height > 0.0
+        has_height = height >= MIN_MEASURED_M if spec.surface else height > 0.0
     if not has_height.any():
         named = " or ".join(f"'{name}'" for name in tops)
         wanted = f"a height above 0 in the attribute {named}"
         if spec.surface:
-            wanted = f"{LEAST_MEASURED_M} m of {spec.surface} above {spec.ground}"
+            wanted = f"{MIN_MEASURED_M} m of {spec.surface} above {spec.ground}"
         raise SourceError(source, f"no footprint with {wanted}", "Check the heights and their unit")
     base, floor_warnings = _floors(np.where(has_height, attribute_heights.base_m[feature], 0.0), height, features, feature)
     selected = has_height & ~(height <= base)
@@ -182,7 +182,8 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
 def _floors(base: np.ndarray, height: np.ndarray, features: Features, feature: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the heights (n,) of floors above the ground, metres, and a warning about those that are not below their roofs.
 
-    Returns 0 for all if a share of more than ``MAX_WRONG_FLOOR_SHARE`` is wrong. Such heights have another reference, such as the sea.
+    Returns 0 for all if a share of more than ``MAX_WRONG_FLOOR_SHARE`` is wrong. Such heights have another reference, such as the
+    sea.
     """
     wrong = np.flatnonzero((base > 0.0) & (height <= base))
     if not len(wrong):
@@ -230,7 +231,7 @@ def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]
     # Normalized rings begin at an outermost point, which is a corner. Simplifying keeps the first point.
     parts = shapely.simplify(shapely.normalize(parts), OUTLINE_TOLERANCE_M / unit_m)
     corners = shapely.get_num_coordinates(parts)
-    for count, limit, what in ((corners.max(), MOST_CORNERS, "a footprint"), (corners.sum(), MOST_CORNERS_OF_ALL, "footprints")):
+    for count, limit, what in ((corners.max(), MAX_CORNERS, "a footprint"), (corners.sum(), MAX_CORNERS_OF_ALL, "footprints")):
         if count > limit:
             raise SourceError.over_limit(features.name, f"{what} of {count} corners", str(limit), "Simplify the outlines")
     has_area = shapely.area(parts) > (OUTLINE_TOLERANCE_M / unit_m) ** 2
@@ -249,12 +250,12 @@ def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground:
         top = np.full(len(polygons), np.nan)
         for i, polygon in enumerate(polygons):
             under = surface.ground_m(*_sample_cells(polygon, surface, to_surface))
-            if np.isfinite(under).mean() >= LEAST_KNOWN:
+            if np.isfinite(under).mean() >= MIN_KNOWN:
                 top[i] = np.nanpercentile(under, ROOF_PERCENTILE)
         outlines = shapely.transform(polygons, _transform(crs, ground), interleaved=False)
-        there = np.isfinite(top) & np.isfinite(shapely.bounds(outlines)).all(axis=1)
+        valid = np.isfinite(top) & np.isfinite(shapely.bounds(outlines)).all(axis=1)
         heights = np.full(len(polygons), np.nan)
-        heights[there] = top[there] - _ground_along(outlines[there], ground)[0]
+        heights[valid] = top[valid] - _ground_along(outlines[valid], ground)[0]
         return heights
 
 
@@ -316,7 +317,7 @@ def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarra
     )
     mean = np.divide(total, total_length, out=np.full(len(polygons), np.nan), where=total_length > 0)
     for i in np.unique(ring[np.isnan(ground) & np.isfinite(mean[ring])]):  # polygons whose outline leaves the valid ground
-        if np.isfinite(elevation.filled_ground_m(*_sample_cells(polygons[i], elevation, _identity))).mean() < LEAST_KNOWN:
+        if np.isfinite(elevation.filled_ground_m(*_sample_cells(polygons[i], elevation, _identity))).mean() < MIN_KNOWN:
             mean[i] = np.nan
     return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
 

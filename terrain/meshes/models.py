@@ -19,7 +19,7 @@ from trimesh.visual.material import PBRMaterial
 from skugga.terrain.errors import SourceError
 from skugga.terrain.level.data_files import check_file
 from skugga.terrain.level.linked_files import gltf_parts
-from skugga.terrain.meshes.body import MOST_SMOOTHED, NEUTRAL, Body, srgb_albedo
+from skugga.terrain.meshes.body import MAX_SMOOTHED, NEUTRAL, Body, srgb_albedo
 
 Y_UP_SUFFIXES = (".glb", ".gltf")
 
@@ -28,7 +28,7 @@ MODEL_SUFFIXES = (".obj", ".ply", *Y_UP_SUFFIXES)
 
 MAX_MODEL_TRIANGLES = 5_000_000
 
-MOST_TEXTURE_PIXELS = 8192 * 8192
+MAX_TEXTURE_PIXELS = 8192 * 8192
 
 _REMEDY = "Use a model with triangles: .obj, .ply, .glb or .gltf"
 
@@ -80,7 +80,7 @@ def _without_duplicates(body: Body) -> Body:
     Looks for them only if more corners meet at a vertex than on any usual surface.
     """
     places = body.merged_triangles
-    if not len(places) or np.bincount(places.ravel()).max() <= MOST_SMOOTHED:
+    if not len(places) or np.bincount(places.ravel()).max() <= MAX_SMOOTHED:
         return body
     first = places.argmin(axis=1)[:, None]
     turned = np.take_along_axis(places, (first + np.arange(3)) % 3, axis=1)
@@ -142,9 +142,9 @@ def _check_texture(source: str, part: trimesh.Trimesh) -> None:
     """Raise ``SourceError`` for a texture that would take gigabytes once decoded."""
     material = getattr(part.visual, "material", None)
     image = material.baseColorTexture if isinstance(material, PBRMaterial) else getattr(material, "image", None)
-    if image is not None and image.width * image.height > MOST_TEXTURE_PIXELS:
+    if image is not None and image.width * image.height > MAX_TEXTURE_PIXELS:
         pixels = f"a texture of {image.width} x {image.height} pixels"
-        raise SourceError.over_limit(source, pixels, f"{MOST_TEXTURE_PIXELS} pixels", "Use a smaller texture")
+        raise SourceError.over_limit(source, pixels, f"{MAX_TEXTURE_PIXELS} pixels", "Use a smaller texture")
 
 
 def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:

@@ -18,13 +18,13 @@ from skugga.terrain.level.parts import RoofForm
 SLOPE = 0.7
 """Rise over run of roofs: 35 degrees, usual for tiles."""
 
-MOST_RISE = 0.45
+MAX_RISE = 0.45
 """Maximum share of a building's height that its roof takes."""
 
-MOST_OFF_SQUARE = 0.17
+MAX_OFF_SQUARE = 0.17
 """Maximum cosine between neighbouring sides of a nearly rectangular footprint: 10 degrees off a right angle."""
 
-MOST_OFF_EQUAL = 0.12
+MAX_OFF_EQUAL = 0.12
 """Maximum difference between its opposite sides, as a share of them."""
 
 HOUSE_WIDTH_M, HOUSE_LENGTH_M, HOUSE_HEIGHT_M = (2.5, 14.0), 32.0, 13.0
@@ -80,14 +80,14 @@ def roof_over(corners_m: np.ndarray, height_m: float, form: RoofForm) -> Roof | 
     along = sides / np.maximum(length, 1e-12)[:, None]
     off_square = np.abs(np.einsum("ij,ij->i", along, np.roll(along, -1, axis=0))).max()
     off_equal = np.abs(length[:2] - length[2:]) / np.maximum(length[:2], length[2:])
-    if off_square > MOST_OFF_SQUARE or off_equal.max() > MOST_OFF_EQUAL:
+    if off_square > MAX_OFF_SQUARE or off_equal.max() > MAX_OFF_EQUAL:
         return None
     pairs = (length[:2] + length[2:]) / 2.0
     first, width, long = (0, pairs[1], pairs[0]) if pairs[0] >= pairs[1] else (1, pairs[0], pairs[1])
     is_house = HOUSE_WIDTH_M[0] <= width <= HOUSE_WIDTH_M[1] and long <= HOUSE_LENGTH_M and height_m <= HOUSE_HEIGHT_M
     if form == "auto" and not is_house:
         return None
-    rise_m = float(min(SLOPE * width / 2.0, MOST_RISE * height_m))
+    rise_m = float(min(SLOPE * width / 2.0, MAX_RISE * height_m))
     ridge_inset = 0.5 * width / long if form == "hipped" else 0.0
     if ridge_inset > APEX_SHARE:
         return Roof(first, np.full((1, 4), 0.25), TENT, len(TENT), rise_m)

@@ -235,9 +235,9 @@ class Canopy:
             return
         for row, col, height_m in self.tops(to_m, window, window_m):
             x, y = self.xy(crs, row, col)
-            there = np.isfinite(x) & np.isfinite(y) & (height_m >= shown_m)
-            places = Places(x[there], y[there], point_keys(seed, x[there] * unit_m, y[there] * unit_m))
-            yield CanopyTrees(places, height_m[there])
+            valid = np.isfinite(x) & np.isfinite(y) & (height_m >= shown_m)
+            places = Places(x[valid], y[valid], point_keys(seed, x[valid] * unit_m, y[valid] * unit_m))
+            yield CanopyTrees(places, height_m[valid])
 
     def tops(
         self, metres_from_cells: np.ndarray, window: CellWindow, window_m: tuple[float, float]
@@ -304,9 +304,9 @@ class Canopy:
             window.row0 - 0.5 + t * (window.row1 - window.row0), window.col0 - 0.5 + t * (window.col1 - window.col0)
         )
         x, y = self.xy(crs, row, col)
-        there = np.isfinite(x) & np.isfinite(y)
-        west, east = np.floor(np.array([x[there].min(), x[there].max()]) / side).astype(int).tolist()
-        south, north = np.floor(np.array([y[there].min(), y[there].max()]) / side).astype(int).tolist()
+        valid = np.isfinite(x) & np.isfinite(y)
+        west, east = np.floor(np.array([x[valid].min(), x[valid].max()]) / side).astype(int).tolist()
+        south, north = np.floor(np.array([y[valid].min(), y[valid].max()]) / side).astype(int).tolist()
         for j in range(south, north + 1):
             for i in range(west, east + 1):
                 yield shapely.box(i * side, j * side, (i + 1) * side, (j + 1) * side)

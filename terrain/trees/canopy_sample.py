@@ -34,7 +34,7 @@ MIN_GROUND_STD_M, ABOVE_SEA_SLOPE = 3.0, (0.7, 1.3)
 Heights above sea level rise with the ground, metre by metre.
 """
 
-LEAST_ABOVE_SEA_M = 30.0
+MIN_ABOVE_SEA_M = 30.0
 """Minimum 5th percentile of heights above sea level over flatter ground: all canopies have gaps with shrubs in them."""
 
 MIN_CELLS = 20
@@ -116,7 +116,7 @@ def check_above_ground(source: str, heights_m: np.ndarray, ground_m: np.ndarray)
         rise = np.cov(ground_m, heights_m)[0, 1] / np.var(ground_m, ddof=1)
         above_sea = ABOVE_SEA_SLOPE[0] <= rise <= ABOVE_SEA_SLOPE[1]
     else:
-        above_sea = np.percentile(heights_m, 5.0) >= LEAST_ABOVE_SEA_M
+        above_sea = np.percentile(heights_m, 5.0) >= MIN_ABOVE_SEA_M
     if above_sea:
         low, high = np.percentile(above_m, [5.0, 95.0])
         said = f"it has heights above the sea, {low:.0f} to {high:.0f} m above the terrain"

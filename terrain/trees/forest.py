@@ -107,7 +107,9 @@ class Site:
 
     @cached_property
     def outline(self) -> shapely.Polygon | None:
-        """The terrain's outline in the map, with a small margin; ``None`` if it covers too much of the globe (``MAX_OUTLINE_DISTANCE_M``)."""
+        """The terrain's outline in the map, with a small margin; ``None`` if it covers too much of the globe
+        (``MAX_OUTLINE_DISTANCE_M``).
+        """
         cells = border_cells(*self.elevation.shape)
         x, y = _transform(self.elevation.crs, self.crs, *self.elevation.xy(*cells))
         if not self.world.flat and not (np.hypot(x, y) < MAX_OUTLINE_DISTANCE_M).all():
@@ -119,8 +121,8 @@ class Site:
     def on_terrain(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Transform map coordinates to the elevation's CRS; NaN where that is undefined."""
         x, y = _transform(self.crs, self.elevation.crs, x, y)
-        there = np.isfinite(x) & np.isfinite(y)
-        return np.where(there, x, np.nan), np.where(there, y, np.nan)
+        valid = np.isfinite(x) & np.isfinite(y)
+        return np.where(valid, x, np.nan), np.where(valid, y, np.nan)
 
 
 @dataclass(frozen=True, eq=False)

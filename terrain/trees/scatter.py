@@ -16,7 +16,7 @@ import shapely
 
 from skugga.terrain.compiled import compiled, internal
 
-LEAST_SPACING = 0.5
+MIN_SPACING = 0.5
 """Minimum distance between two trees, in cells. A cell's centre is at least as far from all trees in other cells."""
 
 HECTARE_M2 = 10_000.0
@@ -172,7 +172,7 @@ def _placed(seed, row0, col0, rows, cols):
                     for m in range(max(r - 1, 0), min(r + 2, high)):
                         for n in range(max(c - 1, 0), min(c + 2, wide)):
                             nearest = min(nearest, (xs[m, n] - x) ** 2 + (ys[m, n] - y) ** 2)
-                    if nearest >= LEAST_SPACING**2:
+                    if nearest >= MIN_SPACING**2:
                         px, py = x, y
                         break
                 xs[r, c], ys[r, c] = px, py

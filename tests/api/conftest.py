@@ -27,7 +27,7 @@ from skugga.api.request import ProductRequest
 from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
 from skugga.api.settings import Settings
 from skugga.api.workers.block_tiles import empty_tile
-from skugga.api.workers.spawned import WorkerTarget
+from skugga.api.workers.piped_process import WorkerTarget
 from tests.rasters import ENGINEERING
 
 ZOOM = 12

@@ -5,7 +5,7 @@ import pkgutil
 import pytest
 
 from skugga import api, selector, shadows, terrain
-from skugga.api.errors import DONE, FAILED, OUTCOMES, WRONG_INPUT, LaterError, NotServedError, exit_status, outcome_of
+from skugga.api.errors import DONE, FAILED, OUTCOMES, WRONG_INPUT, NotServedError, RetryLaterError, exit_status, outcome_of
 from skugga.api.workers.jobs import Failure
 from skugga.terrain import errors
 from skugga.terrain.errors import SkuggaError
@@ -46,7 +46,7 @@ def test_statuses_agree_with_who_is_to_blame():
 
 
 def test_codes_tell_errors_apart():
-    codes = [outcome.code for kind, outcome in OUTCOMES.items() if kind not in (NotServedError, LaterError)]  # as their bases
+    codes = [outcome.code for kind, outcome in OUTCOMES.items() if kind not in (NotServedError, RetryLaterError)]  # as their bases
     assert len(set(codes)) == len(codes)
 
 

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from skugga.api import animated_webp
-from skugga.api.animated_webp import changes
+from skugga.api.animated_webp import frame_changes
 from skugga.api.film_files import check_film_path, film_files, write_film
 from skugga.terrain.compiled import CORES
 from skugga.terrain.errors import InputError
@@ -79,7 +79,7 @@ def test_only_what_changes_is_in_a_frame_of_webp():
     first = np.zeros((20, 30, 3), np.uint8)
     other = first.copy()
     other[7:9, 11:16] = 200
-    found = list(changes(iter([first, first, other, other, other, first]), 10.0))
+    found = list(frame_changes(iter([first, first, other, other, other, first]), 10.0))
     assert [(each.row, each.col, each.color.shape[:2]) for each in found] == [(0, 0, (20, 30)), (6, 10, (3, 6)), (6, 10, (3, 6))]
     assert [(each.duration_ms, each.frames) for each in found] == [(200, 2), (300, 3), (100, 1)]
     assert (found[1].color == other[6:9, 10:16]).all()

@@ -100,4 +100,4 @@ def test_what_is_wrong_is_told_by_its_name(name):
 
 def test_fewer_frames_may_be_allowed():
     with pytest.raises(InputError, match="73 frames, one every 600 s, more than the limit of 50 frames. Use a longer step"):
-        film_span(MORNING, EVENING, "10m", most_frames=50)
+        film_span(MORNING, EVENING, "10m", max_frames=50)

@@ -10,7 +10,7 @@ from skugga.api.matrices import (
     ZoomRange,
     check_tile,
     detail_m,
-    doubles,
+    is_quadtree_level,
     matrix_set_of,
     off_data,
     served_matrix_sets,
@@ -98,9 +98,9 @@ def test_tiles_outside_are_named():
 
 
 def test_doubles():
-    assert doubles(MERCATOR, 10)
-    assert not doubles(MERCATOR, MERCATOR.maxzoom)
-    assert not doubles(registered.get("CanadianNAD83_LCC"), 5)
+    assert is_quadtree_level(MERCATOR, 10)
+    assert not is_quadtree_level(MERCATOR, MERCATOR.maxzoom)
+    assert not is_quadtree_level(registered.get("CanadianNAD83_LCC"), 5)
 
 
 def shown(data: tuple[float, float, float, float], zoom: int) -> set[tuple[int, int]]:

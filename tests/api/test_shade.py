@@ -126,10 +126,10 @@ def test_pictures_have_colours_and_opacity(scene, tmp_path):
     color, _ = written(scene, tmp_path, "color")
     shadow, _ = written(scene, tmp_path, "shadow")
     visibility, _ = written(scene, tmp_path, "visibility")
-    there = np.isfinite(visibility)
-    np.testing.assert_array_equal(color[3] == 255, there)
-    assert color[:3][:, there].std() > 5
-    assert shadow[3][there & (visibility == 0)].mean() > 180 > 60 > shadow[3][there & (visibility == 1)].mean()
+    valid = np.isfinite(visibility)
+    np.testing.assert_array_equal(color[3] == 255, valid)
+    assert color[:3][:, valid].std() > 5
+    assert shadow[3][valid & (visibility == 0)].mean() > 180 > 60 > shadow[3][valid & (visibility == 1)].mean()
 
 
 def test_many_times_in_one_run_are_as_each_by_itself(scene, tmp_path):

@@ -105,7 +105,10 @@ def test_an_item_without_cells(write):
         ("[1]", ("not a STAC item", "Feature")),
         ({"type": "Collection", "id": "sentinel-2-l2a"}, ("a Collection", "Feature")),
         ({"type": "FeatureCollection", "features": []}, ("a FeatureCollection",)),
-        (sentinel_2(**{"datetime": None, "view:sun_azimuth": None}), ("neither a time nor the sun's angles", "start_datetime", "view:sun_elevation")),
+        (
+            sentinel_2(**{"datetime": None, "view:sun_azimuth": None}),
+            ("neither a time nor the sun's angles", "start_datetime", "view:sun_elevation"),
+        ),
         (sentinel_2(**{"datetime": "last week", "view:sun_azimuth": None}), ("datetime", "last week", "ISO 8601")),
         (sentinel_2(**{"view:sun_elevation": 170}), ("view:sun_elevation", "170", "-90 to 90")),
         (landsat(**{"proj:transform": [30, 0, "west"]}), ("proj:transform", "west")),

@@ -69,9 +69,9 @@ def test_cells_of_another_crs_and_of_other_sides_say_the_same(scene, tmp_path):
     own, path = written(scene, tmp_path)
     (tmp_path / "far").mkdir()
     far, other = written(scene, tmp_path / "far", crs="EPSG:4326", resolution=0.0004)
-    with rasterio.open(other) as there, rasterio.open(path) as here:
+    with rasterio.open(other) as other_file, rasterio.open(path) as here:
         rows, cols = (np.random.default_rng(1).integers(10, 90, 400) for _ in range(2))
-        x, y = warped(there.crs, here.crs, *(there.transform @ (cols + 0.5, rows + 0.5)))
+        x, y = warped(other_file.crs, here.crs, *(other_file.transform @ (cols + 0.5, rows + 0.5)))
         col, row = ~here.transform @ (np.array(x), np.array(y))
     wrong = np.abs(far[rows, cols] - own[row.astype(int), col.astype(int)])
     assert np.median(wrong) < 0.2  # cells' centres lie up to half a cell apart

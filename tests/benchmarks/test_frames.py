@@ -139,7 +139,7 @@ def test_the_yardstick_shows_the_scene_that_we_show():
     ours = render_frame(scene, view, plan)
     plain, shadowed = (Yardstick(scene, view, size).draw(scene, view)[..., :3].astype(int) for size in (0, 512))
     sky = (plain == plain[0, 0]).all(axis=2)
-    assert np.mean(sky == ~ours.there) > 0.99
+    assert np.mean(sky == ~ours.valid) > 0.99
     buffer = geometry_buffer(scene, view)
     eye, _ = view.in_frame(buffer.frame)
     near = (buffer.kind == RELIEF) & (np.linalg.norm(buffer.position_frame_m - eye, axis=2) < 150.0)

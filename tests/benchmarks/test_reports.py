@@ -12,12 +12,12 @@ import pytest
 import typer
 
 from benchmarks.reports import __main__ as reports
-from benchmarks.reports.measure import MOST_BYTES, publish, record
+from benchmarks.reports.measure import MAX_BYTES, publish, record
 from benchmarks.reports.page import commands, comparisons
 from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import END, START
 from skugga.api.cli.main import app
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 from tests.api.report.test_summary import NONE, comparison, figures
 
 DOCS = reports.ROOT / "docs"
@@ -58,7 +58,7 @@ def test_the_page_links_every_report_that_is_there_and_no_other() -> None:
 def test_a_published_report_is_one_small_file_of_its_scene(name: str) -> None:
     report = reports.REPORTS / f"{name}.html"
     text, kept = report.read_text(encoding="utf-8"), reports.kept()[name]
-    assert report.stat().st_size < MOST_BYTES
+    assert report.stat().st_size < MAX_BYTES
     assert not re.search(r"""(?:src|href)=["'](?!#|data:image/)""", text), "nothing but itself"
     assert f"<dd>{kept['made']}</dd>" in text, "the page tells of the run that the report is of"
     assert all(row in text for row in kept["rows"])
@@ -97,7 +97,7 @@ def test_a_command_that_the_program_does_not_take_is_noticed() -> None:
 
 
 def test_the_cheapest_row_of_each_target() -> None:
-    leaky = figures("planar", 1.0, 0.001, interior=2 * MOST_INTERIOR)
+    leaky = figures("planar", 1.0, 0.001, interior=2 * MAX_INTERIOR)
     each = kept_of(NONE, leaky, figures("shadow_map-1", 5.0, 0.08), figures("sweep", 20.0, 0.008), figures("hybrid", 30.0, 0.009))
     assert "| city | `wrong_cast` | `shadow_map-1`, 5.0 ms | `sweep`, 20 ms | `sweep`, 20 ms | none |" in comparisons(
         {"city": each}
@@ -127,10 +127,10 @@ def test_names_of_rows_in_sentences_are_code() -> None:
 
 def test_a_report_that_is_too_large_is_not_written(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    publish("å" * (MOST_BYTES // 2 - 1), path)
+    publish("å" * (MAX_BYTES // 2 - 1), path)
     with pytest.raises(RuntimeError, match="less than 1000000"):
-        publish("å" * (MOST_BYTES // 2), path)
-    assert path.stat().st_size == MOST_BYTES - 2
+        publish("å" * (MAX_BYTES // 2), path)
+    assert path.stat().st_size == MAX_BYTES - 2
 
 
 def test_a_scene_that_fails_is_told_and_the_others_are_made(

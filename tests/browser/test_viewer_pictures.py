@@ -12,7 +12,7 @@ from tests.browser.conftest import WINDOW, Viewer
 from tests.browser.test_viewer_access import PHONE
 from tests.golden import assert_golden
 
-TOLERANCE, MOST_OFF = 24, 0.02
+TOLERANCE, MAX_OFF = 24, 0.02
 """Letters are less than this of the page; a panel that is elsewhere, or a shadow, is more."""
 
 PAGES = {
@@ -35,4 +35,4 @@ def test_it_looks_as_it_did(make_viewer: Callable[..., Viewer], request: pytest.
     viewer.page.wait_for_timeout(500)
     pixels = Image.fromarray(viewer.pixels())
     half = np.asarray(pixels.resize((pixels.width // 2, pixels.height // 2), Image.Resampling.BOX))
-    assert_golden(f"viewer-{name}", half, "llvmpipe", request.config.getoption("--regenerate-goldens"), TOLERANCE, MOST_OFF)
+    assert_golden(f"viewer-{name}", half, "llvmpipe", request.config.getoption("--regenerate-goldens"), TOLERANCE, MAX_OFF)

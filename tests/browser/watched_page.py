@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import ConsoleMessage, FloatRect, Page, Request, Response
 
-MOST_TOLD = 4
+MAX_TOLD = 4
 """A map has dozens of tiles, which go wrong together."""
 
 GIVEN_UP = "net::ERR_ABORTED"
@@ -44,7 +44,7 @@ class WatchedPage:
         """Fail if anything has gone wrong on the page."""
         self.wrong = [each for each in self.wrong if self.forgiven is None or not self.forgiven.search(each)]
         if self.wrong:
-            pytest.fail("\n".join(["on the page:", *self.wrong[:MOST_TOLD]]), pytrace=False)
+            pytest.fail("\n".join(["on the page:", *self.wrong[:MAX_TOLD]]), pytrace=False)
 
     def pixels(self, clip: FloatRect | None = None) -> np.ndarray:
         """What a person sees of the page, or of a part of it, (rows, cols, 3) uint8."""

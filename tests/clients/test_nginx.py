@@ -92,14 +92,14 @@ class Deployment:
     def start_nginx(self) -> None:
         """As an ordinary user, also where the tests are root's: then it is the user that the configuration names."""
         text = CONFIGURATION.read_text(encoding="utf-8")
-        for here, there in {
+        for here, theirs in {
             "listen 8080 ": f"listen 127.0.0.1:{self.port} ", "127.0.0.1:8000": f"127.0.0.1:{self.service_port}",
             "/run/nginx.pid": f"{self.folder}/nginx.pid", "/var/log/nginx/": f"{self.folder}/",
             "/var/lib/nginx/": f"{self.folder}/", "/var/cache/nginx": f"{self.folder}/cache",
             "/srv/skugga/archives/": f"{self.folder}/archives/",
         }.items():  # fmt: skip
             assert here in text, here
-            text = text.replace(here, there)
+            text = text.replace(here, theirs)
         (self.folder / "nginx.conf").write_text(text, encoding="utf-8")
         user = {}
         if os.geteuid() == 0:

@@ -27,7 +27,7 @@ PYTHON = Path("/usr/bin/python3")
 
 ZOOM = 12
 SIDE = 512
-MOST_S = 900
+MAX_S = 900
 """QGIS draws 20 pictures, two of them of hours of sun."""
 
 TIMES = {
@@ -76,7 +76,7 @@ def own_date(client: Client) -> str:
 
 def patiently(client: Client, address: str, **query: str) -> np.ndarray:
     """A picture, RGBA, however long its turn takes to come."""
-    end = time.monotonic() + MOST_S
+    end = time.monotonic() + MAX_S
     while (answer := client.get(address, params=query)).status_code == 503:
         assert time.monotonic() < end, answer.text
         time.sleep(int(answer.headers["retry-after"]))
@@ -112,7 +112,7 @@ def seen(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Seen:
     }  # fmt: skip
     done = subprocess.run(
         [PYTHON, Path(__file__).with_name("in_qgis.py"), str(service.base_url), LEVEL, folder],
-        input=json.dumps(plan), env=environment, capture_output=True, text=True, timeout=MOST_S,
+        input=json.dumps(plan), env=environment, capture_output=True, text=True, timeout=MAX_S,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
     found = json.loads((folder / "found.json").read_text())

@@ -45,7 +45,7 @@ def test_a_new_effect_is_planned_run_and_recorded(gl, dust, write_raster, make_s
     assert "dust" in frame.effects
     yellow = frame.color[..., 0].astype(int) - frame.color[..., 2] > 60
     high = frame.height_m > 50.0
-    assert (yellow == high)[frame.there].all()
+    assert (yellow == high)[frame.valid].all()
 
     off = scene.loaded.level.model_copy(update={"effects": {"dust": "off"}})
     left = make_plan(describe(scene, view), off)

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 import trimesh
 
-from skugga.shadows.maps.perspective_shadow_map import MOST_TEXEL_PX
+from skugga.shadows.maps.perspective_shadow_map import MAX_TEXEL_PX
 from skugga.shadows.truth.metrics import (
     MetricCoverage,
     boundary,
@@ -99,12 +99,12 @@ def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
     """
     view = seen.view
     assert isinstance(view, PerspectiveView)
-    there = seen.buffer.there & (seen.buffer.kind == RELIEF)
-    dark, decidable = np.zeros(there.shape, bool), there.copy()
-    dark[there] = shaded(*on_ground(view, there), hulls)
+    valid = seen.buffer.valid & (seen.buffer.kind == RELIEF)
+    dark, decidable = np.zeros(valid.shape, bool), valid.copy()
+    dark[valid] = shaded(*on_ground(view, valid), hulls)
     for each in jittered_views(view, 4):
-        decidable[there] &= shaded(*on_ground(each, there), hulls) == dark[there]  # type: ignore[arg-type]
-    return Truth(there & ~dark, np.zeros(there.shape, bool), decidable, there)
+        decidable[valid] &= shaded(*on_ground(each, valid), hulls) == dark[valid]  # type: ignore[arg-type]
+    return Truth(valid & ~dark, np.zeros(valid.shape, bool), decidable, valid)
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class OnGround:
     """Figures of ``skugga.shadows.truth.metrics`` on level ground, and what they see of its shadow.
 
     ``displaced`` is how many pixels are wrong, as a share of those over which the texels of a map displace the shadow's edges: by a
-    quarter of a texel's side in the mean, times the edges' length. Texels of over ``MOST_TEXEL_PX`` excuse no more than such.
+    quarter of a texel's side in the mean, times the edges' length. Texels of over ``MAX_TEXEL_PX`` excuse no more than such.
     """
 
     interior: float
@@ -129,15 +129,15 @@ def figures_on_ground(seen: Seen, truth: Truth, hulls: Sequence[shapely.Polygon]
     """
     view, texels_px = seen.view, seen.texels_px
     assert isinstance(view, PerspectiveView)
-    dark, true_dark = seen.dark & truth.there, truth.there & ~truth.lit
+    dark, true_dark = seen.dark & truth.valid, truth.valid & ~truth.lit
     wrong = truth.decidable & (dark != true_dark)
     asked = interior_region(truth, texels_px) & truth.decidable & (wrong | true_dark)
     points = np.stack([*on_ground(view, asked), np.zeros(np.count_nonzero(asked))], axis=-1)
     texel_m = texels_px[asked] * np.linalg.norm(points - view.eye_earth_m, axis=-1) * view.pixel
     outline = shapely.union_all(hulls).boundary
     asked[asked] = shapely.distance(outline, shapely.points(points[:, :2])) > 2.0 * texel_m
-    edges_px = edge_distances(dark, true_dark, truth.there)
-    displaced_px = 0.25 * np.minimum(texels_px, MOST_TEXEL_PX)[boundary(true_dark, truth.there)].sum()
+    edges_px = edge_distances(dark, true_dark, truth.valid)
+    displaced_px = 0.25 * np.minimum(texels_px, MAX_TEXEL_PX)[boundary(true_dark, truth.valid)].sum()
     return OnGround(
         interior=np.count_nonzero(wrong & asked) / max(np.count_nonzero(truth.decidable), 1),
         edge_p95_px=float(np.quantile(edges_px, 0.95)) if edges_px.size else 0.0,

@@ -83,14 +83,14 @@ def truth_of_boxes(seen: Seen, boxes: list[trimesh.Trimesh], to_sun: np.ndarray)
         ends = (each.bounds[:, None, None] - points) / to_sun
         entered, left = np.minimum(*ends).max(axis=-1), np.maximum(*ends).min(axis=-1)
         dark |= left > np.maximum(entered, 0.0)
-    ground = seen.buffer.there & (seen.buffer.kind == RELIEF)
+    ground = seen.buffer.valid & (seen.buffer.kind == RELIEF)
     alike = [binary_erosion(ground & one, structure=np.ones((3, 3))) for one in (dark, ~dark)]
     return Truth(ground & ~dark, np.zeros_like(dark), alike[0] | alike[1], ground)
 
 
 def not_a_number(seen: Seen) -> int:
     """How many pixels of a surface have no visibility in [0, 1]."""
-    return int((~((seen.visibility >= 0.0) & (seen.visibility <= 1.0)) & seen.buffer.there).sum())
+    return int((~((seen.visibility >= 0.0) & (seen.visibility <= 1.0)) & seen.buffer.valid).sum())
 
 
 def differing(one: Seen, other: Seen) -> int:

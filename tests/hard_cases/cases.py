@@ -27,7 +27,7 @@ from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
-from skugga.shadows.truth.metrics import LEAST_SIGHT, ErrorMetrics, MetricCoverage, error_metrics, interior_region, metric_coverage
+from skugga.shadows.truth.metrics import MIN_SIGHT, ErrorMetrics, MetricCoverage, error_metrics, interior_region, metric_coverage
 from skugga.shadows.truth.truth import Truth, trace_truth
 from skugga.shadows.visibility import fill_steps
 from skugga.terrain.casters.reach import Casters, find_casters
@@ -170,7 +170,7 @@ class Trial:
         casters, log = find_casters(scene, buffer), PassLog()
         visibility = fill_steps(plan.steps_under(light), buffer, scene, casters, plan.runs, log)
         visibility[attached(buffer, scene, light)] = 0.0
-        visibility[~buffer.there] = np.nan
+        visibility[~buffer.valid] = np.nan
         return Seen(scene, view, plan, light, buffer, casters, visibility, log)
 
 
@@ -208,7 +208,9 @@ class Case:
 
 
 def told(sights: list[MetricCoverage]) -> dict[str, float]:
-    """``wrong_cast`` of the worst picture and ``covered_share`` of all; of all together, if none has much. Nothing where none has any."""
+    """``wrong_cast`` of the worst picture and ``covered_share`` of all; of all together, if none has much. Nothing where none has
+    any.
+    """
     counts = zip(*((each.cast_px, each.covered_px, each.wrong_px, each.either_px) for each in sights), strict=True)
     together = MetricCoverage(*(sum(each) for each in counts)) if sights else MetricCoverage(0, 0, 0, 0)
     large = [each for each in sights if each.cast_px >= COUNTED_PX] or [together]
@@ -216,8 +218,8 @@ def told(sights: list[MetricCoverage]) -> dict[str, float]:
 
 
 def untested(record: Mapping[str, Any]) -> list[str]:
-    """The names of a trial's figures that see less than ``LEAST_SIGHT`` of the cast shadow: they could not tell if it were lost."""
-    return [name for name, sight in record.get("sights", {}).items() if sight and sight["sees"] < LEAST_SIGHT]
+    """The names of a trial's figures that see less than ``MIN_SIGHT`` of the cast shadow: they could not tell if it were lost."""
+    return [name for name, sight in record.get("sights", {}).items() if sight and sight["sees"] < MIN_SIGHT]
 
 
 def over(record: Mapping[str, Any]) -> list[str]:

@@ -58,7 +58,7 @@ def changed(seen: Seen, change: Change) -> Seen:
     log = PassLog()
     visibility = fill_steps(plan.steps_under(seen.light), seen.buffer, seen.scene, seen.casters, plan.runs, log)
     visibility[attached(seen.buffer, seen.scene, seen.light)] = 0.0
-    visibility[~seen.buffer.there] = np.nan
+    visibility[~seen.buffer.valid] = np.nan
     return replace(seen, plan=plan, visibility=visibility, log=log)
 
 
@@ -93,7 +93,7 @@ class FarPeak:
     def length_error(self, seen: Seen) -> float:
         """By what share of its length the shadow is longer or shorter anywhere behind the mesa's middle."""
         distance_m = self.lengths_m(seen)
-        dark, lit = distance_m[seen.dark], distance_m[seen.buffer.there & ~seen.dark]
+        dark, lit = distance_m[seen.dark], distance_m[seen.buffer.valid & ~seen.dark]
         dark, lit = dark[np.isfinite(dark)], lit[np.isfinite(lit)]
         assert dark.size > 500 and lit.size > 500, "the end of the shadow is in the picture"
         return float(max(dark.max() - self.length_m, self.length_m - lit.min(), 0.0) / self.length_m)

@@ -120,7 +120,7 @@ def _first_facet() -> None:
     from skugga.terrain.gbuffer.light_facing import FacingNormals
 
     def facing_normals(buffer: Any, light: Any) -> FacingNormals:
-        nowhere = np.zeros(buffer.there.shape, bool)
+        nowhere = np.zeros(buffer.valid.shape, bool)
         if buffer.surface is None or buffer.triangle is None:
             return FacingNormals(buffer.normal_frame, buffer.crease, buffer.normal_frame, nowhere, nowhere)
         row, col, half = np.moveaxis(np.maximum(buffer.triangle, 0), -1, 0)

@@ -72,7 +72,7 @@ def beyond_sight(seen: Seen) -> MetricCoverage:
     By a sample of the pixels, counted for all of them.
     """
     whole = metric_coverage(seen.dark, seen.truth, seen.truth.decidable)
-    cast = np.flatnonzero(seen.truth.decidable & ~seen.truth.lit & seen.truth.there & ~seen.truth.attached)
+    cast = np.flatnonzero(seen.truth.decidable & ~seen.truth.lit & seen.truth.valid & ~seen.truth.attached)
     sample = cast[:: max(len(cast) // SAMPLED_PX, 1)]
     told = _unexplained(seen, sample, np.zeros(len(sample), bool))
     return replace(whole, covered_px=round(whole.cast_px * float(told.mean())) if len(sample) else 0)
@@ -180,7 +180,7 @@ def _connected(buffer: GeometryBuffer, left: np.ndarray, towards: np.ndarray) ->
     """
     view, surface = buffer.view, buffer.surface
     assert isinstance(view, MapView) and surface is not None
-    i, j = np.unravel_index(left, buffer.there.shape)
+    i, j = np.unravel_index(left, buffer.valid.shape)
     at = np.stack([view.row0 - surface.row0 + i * view.row_step, view.col0 - surface.col0 + j * view.col_step], axis=1)
     # The nearest node; half-way between nodes, of these the one that is nearest to the sun.
     low, high = np.ceil(at - 0.5 - EDGE_TOLERANCE).astype(int), np.floor(at + 0.5 + EDGE_TOLERANCE).astype(int)
@@ -237,7 +237,7 @@ def _maps(seen: Seen, step: Step, left: np.ndarray) -> tuple[np.ndarray, np.ndar
     buffer, scene, settings = seen.buffer, seen.scene, step.settings
     trees = caster_trees(buffer, step.kinds)
     if isinstance(settings, PerspectiveMapSettings):
-        receivers = buffer.there & ~attached(buffer, scene, seen.light)
+        receivers = buffer.valid & ~attached(buffer, scene, seen.light)
         assert buffer.corners_frame_m is not None
         farthest_m = np.linalg.norm(buffer.corners_frame_m.reshape(-1, 3, 3)[left], axis=2).max(axis=1)
         out = np.full((len(left), 4, 4), np.nan)

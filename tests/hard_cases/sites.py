@@ -52,6 +52,6 @@ def views_of(trial: Trial, scene: Scene, px: int) -> Iterator[View]:
 
 def differing(one: Seen, other: Seen) -> float:
     """Share of the pixels whose class differs between two pictures; of which neither may be without light or shadow."""
-    there = one.buffer.there
-    assert 0.02 < one.dark[there].mean() < 0.98, "light and shadow"
-    return float(((one.dark != other.dark) | (there != other.buffer.there)).mean())
+    valid = one.buffer.valid
+    assert 0.02 < one.dark[valid].mean() < 0.98, "light and shadow"
+    return float(((one.dark != other.dark) | (valid != other.buffer.valid)).mean())

@@ -22,7 +22,7 @@ MAPS = ("shadow_map", "perspective_shadow_map")
 
 def not_wholly_lit(seen: Seen) -> float:
     """Share of the surface that is not wholly lit."""
-    return float((seen.visibility[seen.buffer.there] < 1.0).mean())
+    return float((seen.visibility[seen.buffer.valid] < 1.0).mean())
 
 
 @hard_case(

@@ -52,7 +52,7 @@ def worst_of(trial: Trial, bodies: trimesh.Trimesh, name: str, views: Mapping[st
     for view, spec in views.items():
         if spec["kind"] == "perspective" or trial.algorithm != "perspective_shadow_map":
             seen = trial.see(scene, scene.view(view, size=size_of(trial.thorough)))
-            assert (seen.truth.there & ~seen.truth.lit & ~seen.truth.attached).any()
+            assert (seen.truth.valid & ~seen.truth.lit & ~seen.truth.attached).any()
             if "map" in trial.algorithm and seen.light == SUN:
                 interior = max(interior, float(beyond(seen).mean()))
                 trial.saw("interior", beyond_sight(seen))
@@ -80,9 +80,9 @@ def moebius_strip(sections: int = 48) -> trimesh.Trimesh:
         [away * np.cos(turn)[:, None], away * np.sin(turn)[:, None], 4.0 + side * np.sin(turn[:, None] / 2.0)], axis=-1
     )
     here = np.arange(2 * sections).reshape(-1, 2)
-    there = np.roll(here, -1, axis=0)
-    there[-1] = there[-1, ::-1]  # where the strip's ends meet, left is right
-    triangles = np.concatenate([np.column_stack([here, there[:, :1]]), np.column_stack([here[:, 1:], there[:, ::-1]])])
+    next_ring = np.roll(here, -1, axis=0)
+    next_ring[-1] = next_ring[-1, ::-1]  # where the strip's ends meet, left is right
+    triangles = np.concatenate([np.column_stack([here, next_ring[:, :1]]), np.column_stack([here[:, 1:], next_ring[:, ::-1]])])
     return trimesh.Trimesh(strip.reshape(-1, 3), triangles, process=False)
 
 

@@ -39,7 +39,7 @@ def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels_
     if trial.algorithm == "truth":
         buffer = geometry_buffer(scene, view)
         rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
-        return buffer.there & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
+        return buffer.valid & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
     return trial.see(scene, view, map_size=4096 if trial.thorough else 1024).dark
 
 
@@ -67,8 +67,8 @@ def shaded_by_columns(heights: np.ndarray, sun: tuple[float, float], cell_m: flo
         if abs(down) >= rows or abs(right) >= cols:
             break
         here = slice(max(-down, 0), rows - max(down, 0)), slice(max(-right, 0), cols - max(right, 0))
-        there = slice(max(down, 0), rows + min(down, 0)), slice(max(right, 0), cols + min(right, 0))
-        above_m = heights[there] - (heights[here] + far * cell_m * slope)
+        target = slice(max(down, 0), rows + min(down, 0)), slice(max(right, 0), cols + min(right, 0))
+        above_m = heights[target] - (heights[here] + far * cell_m * slope)
         dark[here] |= above_m > 0.0
         tie[here] |= np.abs(above_m) < TIE_M
     return dark, tie

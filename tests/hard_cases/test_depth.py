@@ -11,7 +11,7 @@ from skugga.shadows.maps.resolve import DEPTH_PX
 from skugga.shadows.maps.settings import ShadowMapSettings
 from skugga.shadows.maps.windows import DepthMap, depth_steps, distances, sun_maps
 from skugga.shadows.passes import PassRecord
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.terrain.describe import describe
 from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
@@ -100,7 +100,7 @@ def test_depths_are_right_to_within_a_step(trial: Trial) -> dict[str, float]:
     "D1",
     "Sixteen bits are enough for mountains under a low sun",
     "ridges of 2000 m, 50 km wide, sun at 1 degree: 16 bits against 32 and against truth",
-    {"acne": 0.0, "shift_px": DEPTH_PX, "interior": MOST_INTERIOR},
+    {"acne": 0.0, "shift_px": DEPTH_PX, "interior": MAX_INTERIOR},
     ("shadow_map", "perspective_shadow_map"),
 )
 def test_sixteen_bits_are_enough_for_mountains(trial: Trial) -> dict[str, float]:
@@ -182,7 +182,7 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
     asked = {"cascades": 3, "map_size": 1024 if trial.thorough else 512, "filter": 1}
     usual = trial.see(scene, view, **asked)
     assert len(settings_of(usual).cascades) == 3
-    receivers = usual.buffer.there & ~usual.truth.attached
+    receivers = usual.buffer.valid & ~usual.truth.attached
     distance_m = distances(usual.buffer.position_frame_m, view.in_frame(usual.buffer.frame)[0])
     worst = {"not_in_one_map": 0.0, "wrong beyond its reach": 0.0, "pixels that differ": 0.0}
     row = view.rows * 2 // 3

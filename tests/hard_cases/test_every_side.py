@@ -56,7 +56,7 @@ def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels:
     if trial.algorithm == "truth":
         buffer = geometry_buffer(scene, view)
         rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
-        return buffer.there & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
+        return buffer.valid & (attached(buffer, scene) | ~lit_mask(buffer, scene, "sun", rays))
     return trial.see(scene, view, map_size=4096 if trial.thorough else 1024).dark
 
 
@@ -200,7 +200,7 @@ def _wrong_beyond_a_pixel(trial: Trial, azimuth: float, view: dict[str, Any]) ->
     east, north, _ = scene.world.map_position(scene.map_crs, buffer.frame.points_to_earth(buffer.position_frame_m))
     line_m = RADIUS_M * np.tan(np.radians(DOME_SUN_DEG))
     away = east * np.sin(np.radians(azimuth)) + north * np.cos(np.radians(azimuth)) < -line_m
-    expected = away & buffer.there
-    assert 0.1 < expected[buffer.there].mean() < 0.9, "light and shadow"
-    sure = minimum_filter(expected, 3) | minimum_filter(~away & buffer.there, 3)
+    expected = away & buffer.valid
+    assert 0.1 < expected[buffer.valid].mean() < 0.9, "light and shadow"
+    sure = minimum_filter(expected, 3) | minimum_filter(~away & buffer.valid, 3)
     return float(((dark != expected) & sure).sum())

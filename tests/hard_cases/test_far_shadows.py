@@ -77,14 +77,14 @@ def test_the_sun_crosses_the_horizon(trial: Trial) -> dict[str, float]:
             frame = render(now, view, algorithm=trial.algorithm)
             to_sun = buffer.frame.frame_from_earth @ now.sun.to_sun_earth
             facing = facing_normals(buffer, light_position(to_sun, 0.0))
-            away = frame.there & ~(facing.normal_frame @ to_sun > 0.0)
-            color = frame.color[frame.there].astype(float)
-            worst["not_a_number"] = max(worst["not_a_number"], float((~np.isfinite(frame.visibility[frame.there])).mean()))
+            away = frame.valid & ~(facing.normal_frame @ to_sun > 0.0)
+            color = frame.color[frame.valid].astype(float)
+            worst["not_a_number"] = max(worst["not_a_number"], float((~np.isfinite(frame.visibility[frame.valid])).mean()))
             worst["lit_though_turned_away"] = max(
                 worst["lit_though_turned_away"], float(np.count_nonzero(frame.visibility[away] > 0.0) / away.size)
             )
             if before is None:
-                assert (frame.visibility[frame.there] > 0.0).any(), "the sun is up at first"
+                assert (frame.visibility[frame.valid] > 0.0).any(), "the sun is up at first"
             else:
                 worst["change"] = max(worst["change"], float(np.abs(color - before).mean() / before.mean()))
             before = color

@@ -243,9 +243,9 @@ def test_stands(trial: Trial) -> dict[str, float]:
         everything = geometry_buffer(scene, view.finer(SIDE))
         true = coverage_truth(everything, scene, find_casters(scene, everything), 16 * SIDE, blocks, 4)
     shares = shares_of(seen)
-    there = np.isfinite(true) & np.isfinite(shares)
+    valid = np.isfinite(true) & np.isfinite(shares)
     for scene, view in (cliff(trial), border(trial)):
         error, shadow = coverage_of(trial.see(scene, view.finer(SIDE), map_size=texels), blocks)
         assert 0.02 < shadow < 0.9, f"{shadow:.1%} of what is seen is in shadow"
         errors.append(error)
-    return {"coverage": max(errors), "coverage against all trees": abs(float(shares[there].mean() - true[there].mean()))}
+    return {"coverage": max(errors), "coverage against all trees": abs(float(shares[valid].mean() - true[valid].mean()))}

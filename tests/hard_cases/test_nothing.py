@@ -46,8 +46,8 @@ def filled(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, 
     buffer, log = geometry_buffer(scene, scene.view(view, size=size)), PassLog()
     forced = Step(step.light, kinds, step.algorithm, step.settings)
     visibility = fill_steps([forced], buffer, scene, find_casters(scene, buffer), (), log)
-    receives = buffer.there & ~attached(buffer, scene, step.light)
-    return visibility[receives], bool(buffer.there.any()), sum(record.draws for record in log.records.values())
+    receives = buffer.valid & ~attached(buffer, scene, step.light)
+    return visibility[receives], bool(buffer.valid.any()), sum(record.draws for record in log.records.values())
 
 
 @hard_case(
@@ -66,11 +66,11 @@ def test_nothing_and_single_points(trial: Trial) -> dict[str, float]:
         meshes = [] if trial.algorithm == "sweep" else [box((8, 6, 5))]
         full = trial.scene(FLOOR, meshes=meshes, name=f"{light}_full", views=VIEWS, effects=FORCED, **keys)
         for view in views:
-            visibility, there, count = filled(trial, full, empty, view, (96, 72))
-            assert there == (view in ("eye", "map"))
+            visibility, valid, count = filled(trial, full, empty, view, (96, 72))
+            assert valid == (view in ("eye", "map"))
             draws, nothing = draws + count, nothing + int((~np.isfinite(visibility)).sum())
-            dark = max(dark, float((visibility < 1.0).mean()) if there else 0.0)
-            if not there:
+            dark = max(dark, float((visibility < 1.0).mean()) if valid else 0.0)
+            if not valid:
                 draws += filled(trial, full, full, view, (96, 72))[2]
         if meshes:
             point = trial.scene(FLOOR, meshes=[POINT], name=f"{light}_point", views=VIEWS, **keys)

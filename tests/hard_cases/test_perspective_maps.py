@@ -57,8 +57,8 @@ def look(
     found = figures_on_ground(seen, truth, hulls)
     trial.saw("interior", found.interior_sight)
     trial.saw(DISPLACED, metric_coverage(seen.dark, truth, truth.decidable))
-    shadow = float((truth.there & ~truth.lit).sum() / max(truth.there.sum(), 1))
-    nowhere = float((~np.isfinite(seen.visibility) & seen.buffer.there).mean())
+    shadow = float((truth.valid & ~truth.lit).sum() / max(truth.valid.sum(), 1))
+    nowhere = float((~np.isfinite(seen.visibility) & seen.buffer.valid).mean())
     return seen, {
         "interior": found.interior, "edge_p95_px": found.edge_p95_px, DISPLACED: found.displaced, "not finite": nowhere,
         "shadow": shadow,

@@ -101,7 +101,7 @@ def off_outline_m(seen: Seen, place: Place, azimuth: float, altitude: float) -> 
     to_level = [corner[:, :2] + corner[:, 2:] * away for corner in (*corners, points.reshape(-1, 3))]
     hull = ConvexHull(np.concatenate(to_level[:2]))
     outside = np.max(to_level[2] @ hull.equations[:, :2].T + hull.equations[:, 2], axis=-1).reshape(points.shape[:2])
-    ground = seen.buffer.there & (np.abs(seen.buffer.height_m) < 1e-3)
+    ground = seen.buffer.valid & (np.abs(seen.buffer.height_m) < 1e-3)
     foot_hull = ConvexHull(corners[1][:, :2])
     beside = np.max(points[..., :2] @ foot_hull.equations[:, :2].T + foot_hull.equations[:, 2], axis=-1) > 0.05
     ground &= beside

@@ -189,12 +189,12 @@ def matrices(seen: Seen) -> tuple[float, float]:
     projections = []
     if isinstance(seen.view, PerspectiveView):
         rotations.append(seen.view.earth_from_camera)
-        points = buffer.position_frame_m[buffer.there]
+        points = buffer.position_frame_m[buffer.valid]
         if len(points):
             middle, half = (points.max(axis=0) + points.min(axis=0)) / 2.0, max(float(np.ptp(points, axis=0).max()) / 2.0, 1e-3)
             cube = np.block([[half * np.eye(3), middle[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
             settings = [step.settings for step in seen.plan.steps if isinstance(step.settings, PerspectiveMapSettings)]
-            receivers = buffer.there & ~attached(buffer, scene)
+            receivers = buffer.valid & ~attached(buffer, scene)
             if settings and receivers.any():
                 for each in perspective_maps(buffer, receivers, scene, SUN, settings[0], None):
                     projections.append(np.reshape(each.drawn.uniforms["clip_rows"], (4, 4)) @ cube)
@@ -251,8 +251,8 @@ def outcome(trial: Trial, it: Situation) -> dict[str, float]:
             seen = trial.see(scene, view_of(it, scene))
         except UnsupportedError:
             return dict.fromkeys(_BOUNDS, 0.0)
-    there = seen.visibility[seen.buffer.there]
-    assert ((there >= 0.0) & (there <= 1.0)).all(), "a visibility that is none"
+    valid = seen.visibility[seen.buffer.valid]
+    assert ((valid >= 0.0) & (valid <= 1.0)).all(), "a visibility that is none"
     skew, condition = matrices(seen)
     trial.saw("wrong beyond its reach", beyond_sight(seen))
     return {"rotation_skew": skew, "condition": condition, "wrong beyond its reach": float(beyond(seen).mean())}

@@ -37,17 +37,17 @@ ON = {"cast_shadows": "on"}
 def test_holes_cast_nothing(trial: Trial) -> dict[str, float]:
     side = 1024 if trial.thorough else 128
     scene = trial.scene(trial.raster(plateau_with_holes(side), UTM, *CORNER_M, CELL_M, nodata=-9999.0), (200, 45), effects=ON)
-    valid = scene.elevation.ground_m
+    ground_m = scene.elevation.ground_m
     false_shadow = wrong_surface = 0.0
     for azimuth, altitude in ((200, 45), (75, 5), (310, 0.5))[0 if trial.thorough else 1 :]:
         under = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
         seen = trial.see(under, whole(trial, under, side), map_size=2048 if trial.thorough else 512)
-        there = seen.buffer.there
-        assert 0.3 < there.mean() < 0.95
-        false_shadow = max(false_shadow, share(seen.dark, there))
-        wrong_surface = max(wrong_surface, share(~np.isfinite(valid(*places(seen))), there))
+        valid = seen.buffer.valid
+        assert 0.3 < valid.mean() < 0.95
+        false_shadow = max(false_shadow, share(seen.dark, valid))
+        wrong_surface = max(wrong_surface, share(~np.isfinite(ground_m(*places(seen))), valid))
         if trial.algorithm != "perspective_shadow_map":
-            wrong_surface = max(wrong_surface, abs(there.mean() - np.isfinite(plateau_with_holes(side, np.nan)).mean()))
+            wrong_surface = max(wrong_surface, abs(valid.mean() - np.isfinite(plateau_with_holes(side, np.nan)).mean()))
     return {"false_shadow": false_shadow, "surface lost or made up": wrong_surface}
 
 
@@ -194,7 +194,7 @@ def shadow_of_block(trial: Trial, lying: Lying, shape: tuple[int, int], name: st
         off = (np.abs(row - rows / 2) > rows / 2 + 1e-6) | (np.abs(col - cols / 2) > cols / 2 + 1e-6)
         worst = larger(worst, {
             "tip_px": abs((cast @ away).max() - tip_m) / pixel_m, "side_px": abs(side_m) / pixel_m,
-            "surface lost or made up": share(off, seen.buffer.there),
+            "surface lost or made up": share(off, seen.buffer.valid),
         })  # fmt: skip
     return worst
 
@@ -243,11 +243,11 @@ def test_smallest_rasters(trial: Trial) -> dict[str, float]:
         seen = trial.see(scene, whole(trial, scene, pixels), map_size=512)
         x, y = places(seen)
         col, row = np.floor((x - CORNER_M[0]) / CELL_M), np.floor((CORNER_M[1] - y) / CELL_M)
-        there = seen.buffer.there
-        assert there.any()
+        valid = seen.buffer.valid
+        assert valid.any()
         inside = np.isfinite(heights[np.clip(np.nan_to_num(row), 0, heights.shape[0] - 1).astype(int),
                                      np.clip(np.nan_to_num(col), 0, heights.shape[1] - 1).astype(int)])  # fmt: skip
-        worst = larger(worst, {"false_shadow": share(seen.dark, there), "surface lost or made up": share(~inside, there)})
+        worst = larger(worst, {"false_shadow": share(seen.dark, valid), "surface lost or made up": share(~inside, valid)})
     return worst
 
 
@@ -279,9 +279,9 @@ def test_numbers_of_every_kind(trial: Trial) -> dict[str, float]:
         with rasterio.open(path, "r+") as dataset:
             dataset.scales, dataset.offsets = (scale,), (offset,)
         row, col = np.indices(height_m.shape, np.float64)
-        read_m, there = Elevation(str(path)).heights_at(0, row, col)
+        read_m, valid = Elevation(str(path)).heights_at(0, row, col)
         wrong_m = float(np.abs(read_m - height_m)[~hole].max())
-        worst = larger(worst, {"height_m": wrong_m, "holes filled or dug": float((there == hole).mean())})
+        worst = larger(worst, {"height_m": wrong_m, "holes filled or dug": float((valid == hole).mean())})
     return worst
 
 
@@ -306,16 +306,16 @@ def test_grids_of_the_earth(trial: Trial) -> dict[str, float]:
         name = f"level{number}"
         scene = trial.scene(trial.raster(np.zeros(shape, np.float32), crs, x0, y0, cell, name=name), (75, 3), name=name, effects=ON)
         seen = trial.see(scene, whole(trial, scene, pixels), map_size=512)
-        there, frame = seen.buffer.there, seen.buffer.frame
+        valid, frame = seen.buffer.valid, seen.buffer.frame
         earth_m = frame.origin_earth_m + seen.buffer.position_frame_m @ frame.frame_from_earth
-        lon, lat, height_m = geodetic(earth_m[there])
+        lon, lat, height_m = geodetic(earth_m[valid])
         _, up = geocentric(lon, lat)
-        altitude = np.full(there.shape, np.nan)
-        altitude[there] = np.degrees(np.arcsin(np.clip(up @ scene.sun.to_sun_earth, -1.0, 1.0)))
+        altitude = np.full(valid.shape, np.nan)
+        altitude[valid] = np.degrees(np.arcsin(np.clip(up @ scene.sun.to_sun_earth, -1.0, 1.0)))
         trial.saw("missed_shadow", metric_coverage(seen.dark, seen.truth, np.abs(altitude) > 1.0))
         worst = larger(worst, {
             "false_shadow": share(seen.dark, altitude > 1.0), "missed_shadow": share(~seen.dark, altitude < -1.0),
-            "surface lost or made up": 1.0 - float(there[1:-1, 1:-1].mean()),
+            "surface lost or made up": 1.0 - float(valid[1:-1, 1:-1].mean()),
         })  # fmt: skip
     return worst
 
@@ -333,11 +333,11 @@ def test_odd_rasters_of_the_world_are_drawn(gl, shared_data, make_scene, file):
     """R6: with what is chosen for them, under a low sun: neither all lit nor all dark, and a number wherever there is ground."""
     scene = make_scene(shared_data / "odd" / file, 75.0, 3.0)
     frame = render(scene, scene.view(size=(96, 96)))
-    assert frame.there.mean() > REAL[file]
-    seen = frame.visibility[frame.there]
-    assert ((seen >= 0.0) & (seen <= 1.0)).all() and np.isnan(frame.visibility[~frame.there]).all()
+    assert frame.valid.mean() > REAL[file]
+    seen = frame.visibility[frame.valid]
+    assert ((seen >= 0.0) & (seen <= 1.0)).all() and np.isnan(frame.visibility[~frame.valid]).all()
     assert 0.001 < (seen < 0.5).mean() < 0.95
-    assert frame.color[frame.there].any() and not frame.color[~frame.there].any()
+    assert frame.color[frame.valid].any() and not frame.color[~frame.valid].any()
 
 
 def test_a_raster_of_nothing_is_refused(shared_data, make_scene):

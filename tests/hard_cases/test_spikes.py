@@ -61,7 +61,7 @@ def test_a_needle(trial: Trial) -> dict[str, float]:
         near = trial.see(under, close(trial, under, (top_m[0] + 9 * CELL_M, top_m[1]), 0.0, 16 * CELL_M, 160), map_size=2048)
         interior = max(interior, seen.errors.interior, near.errors.interior)
         trial.saw("interior", near.interior_sight)
-        not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.there))
+        not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.valid))
     return {"length": length, "interior": interior, "not finite": not_finite}
 
 
@@ -88,7 +88,7 @@ def test_a_cliff(trial: Trial) -> dict[str, float]:
         pixel_m = describe(under, seen.view).pixel_m
         inside = np.abs(y + cells / 2 * CELL_M) < (cells / 2 - 4) * CELL_M
         if azimuth == 90.0:
-            false_shadow = max(false_shadow, share(seen.dark, seen.buffer.there))
+            false_shadow = max(false_shadow, share(seen.dark, seen.buffer.valid))
             continue
         end_m = brink_m + 2000.0 / np.tan(np.radians(altitude))
         cast = inside & seen.dark
@@ -134,5 +134,5 @@ def test_saw_teeth(trial: Trial) -> dict[str, float]:
         assert 0.1 < sure.mean()
         wrong = max(wrong, share(seen.dark != dark, sure))
         trial.saw("wrong", metric_coverage(seen.dark, seen.truth, sure))
-        not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.there))
+        not_finite = max(not_finite, share(~np.isfinite(seen.visibility), seen.buffer.valid))
     return {"wrong": wrong, "not finite": not_finite}

@@ -49,13 +49,13 @@ def _pixels_of(one: Seen, other: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarr
     earth_m = one.buffer.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
     right, down, ahead = np.moveaxis((earth_m - view.eye_earth_m) @ view.earth_from_camera, -1, 0)
     pixel = [(v / ahead * view.focal_px - first) / view.step for v, first in ((down, view.row0), (right, view.col0))]
-    known = one.buffer.there & (ahead > 0.0)
+    known = one.buffer.valid & (ahead > 0.0)
     row, col = (np.where(known, np.rint(v), -1).astype(int) for v in pixel)
     known &= (row >= 0) & (row < view.rows) & (col >= 0) & (col < view.cols)
     row, col = np.where(known, row, 0), np.where(known, col, 0)
     beside_m = other.buffer.position_frame_m[row, col] @ other.buffer.frame.frame_from_earth + other.buffer.frame.origin_earth_m
     apart_px = np.linalg.norm(beside_m - earth_m, axis=-1) / (ahead * view.pixel)
-    return known & other.buffer.there[row, col] & (apart_px < 4.0), row, col
+    return known & other.buffer.valid[row, col] & (apart_px < 4.0), row, col
 
 
 def turned(view: PerspectiveView, up_earth: np.ndarray, turn_deg: float) -> PerspectiveView:
@@ -110,11 +110,11 @@ def _dark_by(scene: Scene, step: Step, drawn_for: GeometryBuffer, points: Geomet
     if isinstance(step.settings, ShadowMapSettings):
         (drawn,) = sun_maps(drawn_for, scene, step.settings, None)
     else:
-        seen = drawn_for.there & ~turned_away[0]
+        seen = drawn_for.valid & ~turned_away[0]
         drawn = perspective_shadow_map.perspective_map(drawn_for, seen, scene, step.light, step.settings, None).drawn
-    gl, record, visibility = device(), PassRecord("map"), np.ones(points.there.shape, np.float32)
+    gl, record, visibility = device(), PassRecord("map"), np.ones(points.valid.shape, np.float32)
     target = draw_map(gl, drawn, drawn_for, scene, step.kinds, find_casters(scene, drawn_for), step.settings, record)
-    asked = np.flatnonzero(points.there & ~turned_away[1])
+    asked = np.flatnonzero(points.valid & ~turned_away[1])
     look_up(
         gl,
         replace(drawn, pixels=asked),
@@ -239,7 +239,7 @@ def test_a_full_turn(trial: Trial) -> dict[str, float]:
             frames, steps = frames + 1, steps + (before is not None and before != texel_m.tolist())
             before = texel_m.tolist()
         pair = [turned(view, up, degree + 0.01 * frame) for frame in (0, 1)]
-        if geometry_buffer(scene, pair[0]).there.mean() > 0.3:
+        if geometry_buffer(scene, pair[0]).valid.mean() > 0.3:
             shares += map_flickers(trial, scene, pair, map_size=256)
     assert frames >= 20 and len(shares) > 2
     return {"off the ladder": off / frames, "flicker": float(np.mean(shares)), "frames that step": steps / frames}

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from skugga.shadows.truth.metrics import MOST_INTERIOR, metric_coverage
+from skugga.shadows.truth.metrics import MAX_INTERIOR, metric_coverage
 from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.geo.sun import sun_of
 from skugga.terrain.geo.sun_path import YEARS
@@ -26,7 +26,7 @@ CELL_M = 32.0
     "G9",
     "A sun on the horizon, at the zenith or below the ground gives a picture, and night is dark all over",
     "hills in a flat world under a sun at 90, 1e-9, 0, -1e-9 and -90 degrees",
-    {"not finite": 0.0, "light at night": 0.0, "wrong": MOST_INTERIOR},
+    {"not finite": 0.0, "light at night": 0.0, "wrong": MAX_INTERIOR},
 )
 def test_suns_at_the_limits(trial: Trial) -> dict[str, float]:
     """Grazing light has no tolerance of its own: what is wrong, at edges too, may be what a target may miss inside, 0.1 %."""
@@ -36,11 +36,11 @@ def test_suns_at_the_limits(trial: Trial) -> dict[str, float]:
     for altitude in (90.0, 1e-9, 0.0, -1e-9, -90.0) if trial.thorough else (1e-9, 0.0, -90.0):
         under = scene.with_sun(SunSpec(azimuth=200.0, altitude=altitude))
         seen = trial.see(under, whole(trial, under, cells), map_size=2048)
-        there = seen.buffer.there
-        assert there.any()
-        not_finite = max(not_finite, share(~np.isfinite(seen.visibility), there))
+        valid = seen.buffer.valid
+        assert valid.any()
+        not_finite = max(not_finite, share(~np.isfinite(seen.visibility), valid))
         if altitude <= 0.0:
-            light = max(light, share(~seen.dark, there))
+            light = max(light, share(~seen.dark, valid))
         else:
             wrong = max(wrong, seen.errors.wrong)
             trial.saw("wrong", metric_coverage(seen.dark, seen.truth, seen.truth.decidable))
@@ -62,7 +62,7 @@ def test_midnight_sun_and_polar_night(trial: Trial) -> dict[str, float]:
     scene = trial.scene(path, (0, 45))
     night = scene.with_sun(parse_sun("2024-12-21T11:00:00Z", None, None))
     seen = trial.see(night, whole(trial, night, cells))
-    light, not_finite = share(~seen.dark, seen.buffer.there), share(~np.isfinite(seen.visibility), seen.buffer.there)
+    light, not_finite = share(~seen.dark, seen.buffer.valid), share(~np.isfinite(seen.visibility), seen.buffer.valid)
     day = scene.with_sun(parse_sun("2024-06-21T23:00:00Z", None, None))
     seen = trial.see(day, whole(trial, day, cells), map_size=2048)
     x, y = places(seen)

@@ -59,9 +59,9 @@ def test_seams_throw_nothing(trial: Trial) -> dict[str, float]:
             under = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
             west, east, together = (trial.see(under, view, map_size=2048) for view in windows(trial, under, pixels))
             dark = np.hstack([west.dark, east.dark])
-            there = np.hstack([west.buffer.there, east.buffer.there])
-            seam = near_seam(pixels) & together.buffer.there
-            worst["surface lost"] = max(worst["surface lost"], share(~there, seam))
+            valid = np.hstack([west.buffer.valid, east.buffer.valid])
+            seam = near_seam(pixels) & together.buffer.valid
+            worst["surface lost"] = max(worst["surface lost"], share(~valid, seam))
             if ground == "level":
                 worst["false_shadow of level ground"] = max(worst["false_shadow of level ground"], share(dark, seam))
             else:

@@ -53,9 +53,9 @@ def _differing(trial: Trial, scene: Scene, tile: MapView, beside: MapView) -> fl
     """Share of the pixels whose class differs in the strip that two tiles have in common."""
     one, other = trial.see(scene, tile), trial.see(scene, beside)
     strip = tile.cols // 2
-    here, there = one.dark[:, -strip:], other.dark[:, :strip]
-    assert 0.005 < here[one.buffer.there[:, -strip:]].mean() < 0.99, "light and shadow"
-    differ = here != there
+    here, right = one.dark[:, -strip:], other.dark[:, :strip]
+    assert 0.005 < here[one.buffer.valid[:, -strip:]].mean() < 0.99, "light and shadow"
+    differ = here != right
     if trial.algorithm in LAID_BY_THE_TILE:
         differ &= one.truth.decidable[:, -strip:] & other.truth.decidable[:, :strip] & ~_on_edges(one)[:, -strip:]
     return float(differ.mean())
@@ -88,7 +88,7 @@ def _zoom_edges_px(trial: Trial, scene: Scene, tile: MapView) -> np.ndarray:
     finer = MapView(grid, 2.0 * tile.row0, 2.0 * tile.col0, 1.0, 1.0, 2 * tile.rows, 2 * tile.cols)
     coarse, fine = trial.see(scene, tile), trial.see(scene, finer)
     doubled = np.repeat(np.repeat(coarse.dark, 2, axis=0), 2, axis=1)
-    distances = edge_distances(fine.dark, doubled, fine.buffer.there) / 2.0
+    distances = edge_distances(fine.dark, doubled, fine.buffer.valid) / 2.0
     trial.saw("edge_p95_px", edge_metric_coverage(doubled, fine.truth))
     assert distances.size > 100, "edges"
     return distances

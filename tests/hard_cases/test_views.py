@@ -38,8 +38,8 @@ def figures(trial: Trial, seen: dict[str, Seen]) -> dict[str, float]:
     """The worst of some views: interior errors, and pixels whose point or visibility is no number."""
     trial.saw("interior", *(interior_sight(each) for each in seen.values()))
     for name, each in seen.items():
-        assert each.buffer.there.any(), name
-    none = [not_a_number(each) + (~np.isfinite(each.buffer.position_frame_m[each.buffer.there])).sum() for each in seen.values()]
+        assert each.buffer.valid.any(), name
+    none = [not_a_number(each) + (~np.isfinite(each.buffer.position_frame_m[each.buffer.valid])).sum() for each in seen.values()]
     return {"interior": max(errors(each).interior for each in seen.values()), "pixels that are no number": sum(none)}
 
 
@@ -103,7 +103,7 @@ def _distance_m(seen: Seen) -> np.ndarray:
     view = seen.view
     assert isinstance(view, PerspectiveView)
     away = np.linalg.norm(seen.buffer.position_frame_m - view.in_frame(seen.buffer.frame)[0], axis=-1)
-    return np.where(seen.buffer.there, away, np.inf)
+    return np.where(seen.buffer.valid, away, np.inf)
 
 
 @hard_case(
@@ -134,7 +134,7 @@ def test_a_line_of_pixels_is_drawn_by_the_block(gl, tmp_path, algorithm, size):
     middle = (2.0, 6.0)
     bounds = (middle[0] - half_m[0], middle[1] - half_m[1], middle[0] + half_m[0], middle[1] + half_m[1])
     frame = render(scene, scene.view(bounds=bounds, size=size), algorithm=algorithm)
-    assert frame.there.all() and np.isfinite(frame.visibility).all()
+    assert frame.valid.all() and np.isfinite(frame.visibility).all()
     assert 0 < (frame.visibility < 0.5).sum() < 100
 
 

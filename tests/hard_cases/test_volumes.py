@@ -56,7 +56,7 @@ def test_eye_in_a_volume(trial: Trial) -> dict[str, float]:
             for name in names:
                 view = scene.view(name, size=size_of(trial.thorough))
                 seen = trial.see(scene, view)
-                assert (seen.truth.there & ~seen.truth.lit).any(), name
+                assert (seen.truth.valid & ~seen.truth.lit).any(), name
                 differ += differing(seen, trial.see(scene, view, counting="z_fail"))
                 interior = max(interior, errors(seen).interior)
                 trial.saw("interior", interior_sight(seen))
@@ -104,7 +104,7 @@ def test_near_plane_touches_a_caster(trial: Trial) -> dict[str, float]:
         differ += differing(seen, trial.see(scene, scene.view("eye", size=size), counting="z_fail"))
         interior = max(interior, errors(seen).interior)
         trial.saw("interior", interior_sight(seen))
-        darkened = max(darkened, int((seen.truth.there & ~seen.truth.lit & first.truth.lit).sum()))
+        darkened = max(darkened, int((seen.truth.valid & ~seen.truth.lit & first.truth.lit).sum()))
     assert darkened > 100
     return {"pixels that differ": differ, "interior": interior}
 
@@ -162,7 +162,7 @@ def test_stacks_of_volumes(trial: Trial) -> dict[str, float]:
         scene = trial.scene(FLOOR, sun=(180, 60), meshes=[plates(count)], name=f"plates_{count}", views=views)
         for name in views if trial.algorithm != "perspective_shadow_map" else list(views)[:2]:
             seen = trial.see(scene, scene.view(name, size=size_of(trial.thorough)))
-            floor = (seen.buffer.kind == RELIEF) & seen.buffer.there
+            floor = (seen.buffer.kind == RELIEF) & seen.buffer.valid
             x, y, _ = np.moveaxis(seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m, -1, 0)
             first_m, last_m = np.array([1.0, 1.0 + 0.05 * (count - 1)]) / np.tan(np.radians(60.0))
             inside_m = np.minimum(3.0 - np.abs(x), np.minimum(y - first_m + 3.0, last_m + 3.0 - y))

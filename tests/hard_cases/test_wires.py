@@ -55,7 +55,7 @@ def over(scene: Scene, px: int) -> MapView:
 
 def truly_dark(seen: Seen, hulls: list[shapely.Polygon]) -> np.ndarray:
     """Which pixels of the ground lie in the wires' shadow, by their centres, bool (rows, cols)."""
-    ground, out = seen.buffer.there & (seen.buffer.kind == RELIEF), np.zeros(seen.dark.shape, bool)
+    ground, out = seen.buffer.valid & (seen.buffer.kind == RELIEF), np.zeros(seen.dark.shape, bool)
     points = seen.buffer.position_frame_m[ground] @ seen.buffer.frame.frame_from_earth + seen.buffer.frame.origin_earth_m
     out[ground] = shaded(points[:, 0], points[:, 1], hulls)
     return out
@@ -92,7 +92,7 @@ def test_wires(trial: Trial) -> dict[str, float]:
         seen = trial.see(scene, view, **asked)
         other = replace(trial, algorithm=others[trial.algorithm]).see(scene, view, **asked)
         hulls = shade(bodies, SUN)
-        real, ground = truly_dark(seen, hulls), seen.buffer.there & (seen.buffer.kind == RELIEF)
+        real, ground = truly_dark(seen, hulls), seen.buffer.valid & (seen.buffer.kind == RELIEF)
         assert real.sum() > 100, f"{real.sum()} pixels of shadow, {width} texels wide"
         wrong = beyond(seen, ground & (seen.dark != real), hulls, SIDE_M / px / 256.0)
         differ = (seen.dark != other.dark) & ground

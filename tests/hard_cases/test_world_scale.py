@@ -19,8 +19,8 @@ def _differing_at(trial: Trial, offsets: list[tuple[float, float]]) -> float:
     for number, offset in enumerate(offsets):
         away = site(trial, offset=offset, name=f"away{number}")
         for here, view in zip(seen, views_of(trial, away, px), strict=True):
-            there = trial.see(away, view, map_size=2048 if trial.thorough else 512)
-            worst = max(worst, differing(here, there))
+            far = trial.see(away, view, map_size=2048 if trial.thorough else 512)
+            worst = max(worst, differing(here, far))
     return worst
 
 
@@ -81,7 +81,7 @@ def test_suns_along_the_axes(trial: Trial) -> dict[str, float]:
 
 def _seen_under(trial: Trial, scene: Scene, view: View, azimuth: float, altitude: float) -> Seen:
     seen = trial.see(scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude)), view, map_size=512)
-    assert altitude > 89.0 or seen.dark[seen.buffer.there].mean() > 0.02, "shadow"
+    assert altitude > 89.0 or seen.dark[seen.buffer.valid].mean() > 0.02, "shadow"
     return seen
 
 

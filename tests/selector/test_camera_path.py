@@ -21,7 +21,7 @@ from skugga.selector import replanning
 from skugga.selector.choices import Choice
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.planner.planner import make_plan
-from skugga.selector.replanning import MOST_CHANGED, PATIENCE, Replanner, casting, mix_pictures, next_share
+from skugga.selector.replanning import MAX_CHANGED, PATIENCE, Replanner, casting, mix_pictures, next_share
 from skugga.selector.select import select
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
@@ -185,8 +185,8 @@ def test_no_more_switches_than_real_changes(flight, level, sun):
 
 def changed(before: np.ndarray, after: np.ndarray) -> float:
     """Share of the surface's pixels whose class changes."""
-    there = ~np.isnan(after)
-    return float(((before < 0.5) != (after < 0.5))[there].mean())
+    valid = ~np.isnan(after)
+    return float(((before < 0.5) != (after < 0.5))[valid].mean())
 
 
 def test_of_a_switch_in_flight_little_is_seen(gl, flight, level):
@@ -203,8 +203,8 @@ def test_of_a_switch_in_flight_little_is_seen(gl, flight, level):
         assert share > before
         steps.append(changed(*(mix_pictures(old.visibility, new.visibility, shown) for shown in (before, share))))
         differing.append(changed(old.visibility, new.visibility))
-    assert len(steps) == SEEN and max(differing) > 3.0 * MOST_CHANGED  # else nothing would be tested
-    assert max(steps) <= MOST_CHANGED
+    assert len(steps) == SEEN and max(differing) > 3.0 * MAX_CHANGED  # else nothing would be tested
+    assert max(steps) <= MAX_CHANGED
 
 
 @settings(max_examples=20)
@@ -212,9 +212,9 @@ def test_of_a_switch_in_flight_little_is_seen(gl, flight, level):
 def test_a_switch_ends_and_changes_few_pixels_a_frame_whatever_it_is_between(rows, cols, seed):
     """Noise under two lights, half of it without a surface."""
     rng = np.random.default_rng(seed)
-    there = rng.random((rows, cols)) < 0.5
-    before, after = ({light: np.where(there, rng.random((rows, cols)), np.nan) for light in (SUN, "lamp")} for _ in range(2))
-    most, share, frames = max(int(MOST_CHANGED * there.sum()), 1), 0.0, 0
+    valid = rng.random((rows, cols)) < 0.5
+    before, after = ({light: np.where(valid, rng.random((rows, cols)), np.nan) for light in (SUN, "lamp")} for _ in range(2))
+    most, share, frames = max(int(MAX_CHANGED * valid.sum()), 1), 0.0, 0
     while share < 1.0:
         shown, share, frames = share, next_share(before, after, share), frames + 1
         classes = [np.stack([mix_pictures(before[k], after[k], each) < 0.5 for k in before]) for each in (shown, share)]
@@ -273,9 +273,9 @@ def test_a_switch_before_a_camera_that_stands_changes_few_pixels_a_frame(gl, sce
             picture, mixed = mix_pictures(left[SUN], picture, director.share(left, visibilities)), mixed + 1
         shown.append(picture)
     steps = [changed(before, after) for before, after in pairwise(shown)]
-    there = int((~np.isnan(shown[0])).sum())
-    assert 0.0 < max(steps) <= MOST_CHANGED
-    assert mixed == np.ceil(round(changed(shown[0], shown[-1]) * there) / int(MOST_CHANGED * there))
+    valid_count = int((~np.isnan(shown[0])).sum())
+    assert 0.0 < max(steps) <= MAX_CHANGED
+    assert mixed == np.ceil(round(changed(shown[0], shown[-1]) * valid_count) / int(MAX_CHANGED * valid_count))
     assert np.array_equal(shown[-1], drawn(director.plan(at.descriptor, level))[SUN], equal_nan=True)
     assert director.transition is None and len(pictures) == 2
 
@@ -292,8 +292,8 @@ def test_new_casters_are_drawn_at_once_and_what_cast_before_is_handed_over(gl, s
     assert director.transition is not None and chosen(director.transition.plan)[SUN, "forest"][0] == "shadow_map"
     old, new = (render_frame(scene, inside.view, its) for its in (director.transition.plan, plan))
     share = director.share(old.visibilities, new.visibilities)
-    assert changed(old.visibility, mix_pictures(old.visibility, new.visibility, share)) <= MOST_CHANGED
-    assert changed(old.visibility, new.visibility) > MOST_CHANGED
+    assert changed(old.visibility, mix_pictures(old.visibility, new.visibility, share)) <= MAX_CHANGED
+    assert changed(old.visibility, new.visibility) > MAX_CHANGED
 
 
 def test_casters_that_come_back_are_no_news(scene, level):

@@ -127,7 +127,7 @@ def test_it_renders_or_says_why_not(gl, seen, name, light, caster, kind, ground)
         assert [record.name for record in frame.passes] == plan.passes
         ran = [each for each in plan.passes if each.startswith(f"{light}/{caster}: ")]
         assert [each.split(": ")[1] for each in ran] == list(algorithm.passes)
-        assert np.isfinite(frame.visibilities[light][frame.there]).all()
+        assert np.isfinite(frame.visibilities[light][frame.valid]).all()
     else:
         with pytest.raises(UnsupportedError) as caught:
             plan_of(scene, view, algorithm=only(name, light, caster))
@@ -228,10 +228,10 @@ def test_a_level_raster_on_the_round_earth_is_no_plane(write_raster, make_scene)
 
 
 def test_a_comparison_leaves_out_what_cannot_be(scene_on):
-    for ground, there in (("level", True), ("uneven", False)):
+    for ground, is_served in (("level", True), ("uneven", False)):
         scene = scene_on(ground)
         names = {plan.headline for plan in candidates(scene, scene.view("map"))}
-        assert ("planar" in names) is there and {"shadow_map", "none"} <= names
+        assert ("planar" in names) is is_served and {"shadow_map", "none"} <= names
 
 
 def test_a_comparison_takes_an_algorithm_as_far_as_it_serves(scene_on):
@@ -292,7 +292,7 @@ def test_volumes_for_what_they_serve_beside_maps_for_trees(gl, scene_on):
     solid, trees = ({**choice, **change} for change in ({"forest": "none"}, {"relief": "none", "meshes": "none"}))
     alone = [render_frame(scene, view, plan_of(scene, view, algorithm=each)).visibility for each in (solid, trees)]
     np.testing.assert_array_equal(frame.visibility, alone[0] * alone[1])
-    both, *each = ((visibility[frame.there] < 0.5).sum() for visibility in (frame.visibility, *alone))
+    both, *each = ((visibility[frame.valid] < 0.5).sum() for visibility in (frame.visibility, *alone))
     assert both > max(each) > min(each) > 0
 
 
@@ -308,7 +308,7 @@ def test_a_map_of_a_small_scale_bends_too_much_for_volumes(gl, tmp_path):
         block = block_at(-84.25, 36.32, 12)
         view = replace(block, row0=block.row0 + 516, col0=block.col0 + 500, rows=96, cols=96)
         frame = render_frame(scene, view, plan_of(scene, view, algorithm=name))
-        assert frame.plan.headline == name and 0.02 < (frame.visibility[frame.there] < 0.5).mean() < 0.98
+        assert frame.plan.headline == name and 0.02 < (frame.visibility[frame.valid] < 0.5).mean() < 0.98
 
 
 # -- what users see

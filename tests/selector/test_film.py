@@ -14,7 +14,7 @@ from skugga.selector import film
 from skugga.selector.film import FilmFrame, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest, FilmSpan
 from skugga.selector.planner.planner import make_plan
-from skugga.selector.replanning import MOST_CHANGED, PATIENCE, Replanner
+from skugga.selector.replanning import MAX_CHANGED, PATIENCE, Replanner
 from skugga.shadows.draw import draw
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
@@ -140,14 +140,14 @@ def test_a_switch_is_spread_over_frames_told_and_recorded(gl, figure, caplog):
     assert mixed[0] is switched and 4 <= len(mixed) < 40 and mixed[-1].transition.share == 1.0
     (said,) = (record.getMessage() for record in caplog.records if "instead of" in record.getMessage())
     assert said == f"frame {switch.number + 1} (0.007 s): {switch.after} instead of {switch.before}: {switch.why}"
-    there = render_frame(figure, frames[0].moment.view, frames[0].plan).there.sum()
+    valid_count = render_frame(figure, frames[0].moment.view, frames[0].plan).valid.sum()
     for one, other in zip(frames, frames[1:], strict=False):
         if one.transition or other.transition:
             # The sun rests, the body turns by 0.03 degrees a frame: colours change, but hardly between light and shadow.
             flipped = (np.abs(one.color.astype(int) - other.color).max(axis=-1) > 40).sum()
-            assert flipped <= 1.5 * max(MOST_CHANGED * there, 1.0)
+            assert flipped <= 1.5 * max(MAX_CHANGED * valid_count, 1.0)
     whole = np.abs(frames[switch.number - 1].color.astype(int) - frames[-1].color).max(axis=-1) > 40
-    assert whole.sum() > 2 * MOST_CHANGED * there  # else nothing was tested
+    assert whole.sum() > 2 * MAX_CHANGED * valid_count  # else nothing was tested
     for frame in (*frames[:3], *frames[-2:]):
         assert (frame.color == still_of(figure, frame)).all()
     assert not (switched.color == still_of(figure, switched)).all()
@@ -211,4 +211,4 @@ def test_what_is_wrong_is_told_before_a_frame_is_drawn(figure, name):
 
 def test_a_service_may_allow_fewer_frames(figure):
     with pytest.raises(InputError, match="1 to 10 frames"):
-        frame_moments(figure, FilmRequest(FilmSpan(11, 1.0), "eye"), most_frames=10)
+        frame_moments(figure, FilmRequest(FilmSpan(11, 1.0), "eye"), max_frames=10)

@@ -73,7 +73,7 @@ def test_a_broken_file_counts_as_none(tmp_path, text):
 
 def test_the_oldest_are_forgotten(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(probe_store, "MOST_KEPT", 2)
+    monkeypatch.setattr(probe_store, "MAX_KEPT", 2)
     for number in range(4):
         os.utime(save_probes("device", "1", f"level{number}", of(number, 0, "a")), (number, number))
     assert sorted(path.stem for path in probes_folder("device", "1").iterdir()) == ["level2", "level3"]

@@ -55,12 +55,12 @@ def visibility(
 ) -> tuple[np.ndarray, GeometryBuffer]:
     """Visibility of a light by shadow maps, attached shadow included, NaN where there is no surface; and what it is of."""
     buffer = geometry_buffer(scene, view)
-    seen = np.ones(buffer.there.shape, np.float32)
+    seen = np.ones(buffer.valid.shape, np.float32)
     for step in plan_of(scene, view, algorithm="shadow_map", **overrides).steps:
         if step.light == light and step.settings is not None:
             settings = step.settings.model_copy(update={"bias_scale": bias_scale})
             receivers = receivers_of(buffer, scene, light)
             seen *= shadow_map.fill(receivers, scene, light, step.kinds, find_casters(scene, buffer), settings, PassLog())
     seen[attached(buffer, scene, light)] = 0.0
-    seen[~buffer.there] = np.nan
+    seen[~buffer.valid] = np.nan
     return seen, buffer

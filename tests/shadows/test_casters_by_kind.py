@@ -54,7 +54,7 @@ def test_all_kinds_are_there_and_cast(gl, village, buffer):
     assert village.objects.kinds == KINDS and {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
     for kind in KINDS:
         one = truth(village, buffer, (kind,))
-        assert 0.01 < (~one.lit & ~one.attached & one.there).sum() / one.there.sum() < 0.5
+        assert 0.01 < (~one.lit & ~one.attached & one.valid).sum() / one.valid.sum() < 0.5
 
 
 def test_truths_of_the_kinds_multiply_to_the_truth_of_all(gl, village, buffer):
@@ -62,7 +62,7 @@ def test_truths_of_the_kinds_multiply_to_the_truth_of_all(gl, village, buffer):
     whole, single = truth(village, buffer, KINDS), [truth(village, buffer, (kind,)) for kind in KINDS]
     product = np.logical_and.reduce([one.lit for one in single])
     decidable = np.logical_and.reduce([whole.decidable, *(one.decidable for one in single)])
-    assert decidable.sum() > 0.7 * buffer.there.sum()
+    assert decidable.sum() > 0.7 * buffer.valid.sum()
     np.testing.assert_array_equal(product[decidable], whole.lit[decidable])
     # a ray starts at an offset by the extent of what it may meet, which is another for each kind
     assert (product != whole.lit)[whole.decidable].mean() <= 1e-3
@@ -82,9 +82,9 @@ def test_shadow_maps_of_the_kinds_multiply_to_the_map_of_all(gl, village, taps, 
     view = view_of(village)
     whole = render_points(village, view, algorithm="shadow_map", map_size=1024, filter=taps)
     single = [render_points(village, view, algorithm=alone("shadow_map", kind), map_size=1024, filter=taps) for kind in KINDS]
-    there = whole.there
-    shares = [frame.visibility[there].astype(np.float64) for frame in single]
-    product, together = np.prod(shares, axis=0), whole.visibility[there]
+    valid = whole.valid
+    shares = [frame.visibility[valid].astype(np.float64) for frame in single]
+    product, together = np.prod(shares, axis=0), whole.visibility[valid]
     if sure:
         np.testing.assert_array_equal(product, together)
     partial = [(0.0 < share) & (share < 1.0) for share in shares]

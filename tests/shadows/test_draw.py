@@ -58,7 +58,7 @@ def test_blocks_by_heights_are_one_frame(gl, hills):
     # Casters are looked for from the ground that a block shows, not from its whole square: up to a hundredth less far here.
     assert shown.reach.used_m == pytest.approx(frame.reach.used_m, rel=0.02) and shown.reach.clipped == frame.reach.clipped
     assert len(done) > 1 and done[-1][0] == done[-1][1] == len(done)
-    np.testing.assert_array_equal(shown.valid, frame.there)
+    np.testing.assert_array_equal(shown.valid, frame.valid)
     np.testing.assert_array_equal(shown.opacity, frame.opacity)
     apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
     assert apart.max() <= 1 and (apart > 0).mean() <= 1e-4
@@ -74,10 +74,10 @@ def test_visibility_by_heights_is_that_of_frames(gl, hills, altitude):
     assert heights_suffice(scene, view, plan, LIT)
     lit, frame = draw(scene, view, plan, LIT), render_frame(scene, view, plan)
     assert lit.visibility is not None and lit.reach == frame.reach
-    np.testing.assert_array_equal(lit.valid, frame.there)
-    np.testing.assert_array_equal(np.isnan(lit.visibility), ~frame.there)
-    wrong = (lit.visibility != frame.visibility) & frame.there
-    assert wrong.sum() / frame.there.sum() < 5e-4
+    np.testing.assert_array_equal(lit.valid, frame.valid)
+    np.testing.assert_array_equal(np.isnan(lit.visibility), ~frame.valid)
+    wrong = (lit.visibility != frame.visibility) & frame.valid
+    assert wrong.sum() / frame.valid.sum() < 5e-4
     assert altitude < 0.0 or 0.05 < np.nanmean(lit.visibility) < 0.98
     assert set(record.name for record in lit.passes) <= set(plan.passes)
 

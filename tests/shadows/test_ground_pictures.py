@@ -19,7 +19,7 @@ from tests.params import quick
 from tests.products import drawn, drawn_by_heights
 from tests.render import plan_of
 
-MOST_DIFFERING = 1e-4
+MAX_DIFFERING = 1e-4
 """Share of the pixels whose colour may be another step of 255: shares of the sky are rounded before they are multiplied."""
 
 SUNS = ((225.0, 22.0), (180.0, 4.0), (91.0, 2.0), (20.0, 65.0), (300.0, -3.0))
@@ -63,14 +63,14 @@ def test_they_show_what_geometry_buffers_do(gl, hills, azimuth, altitude, zoom, 
     plan = plan_of(scene, view)
     assert heights_suffice(scene, view, plan, SHADED)
     shown, frame = drawn_by_heights(scene, view, plan), render_frame(scene, view, plan)
-    assert shown is not None and frame.there.any() and not frame.there.all()
-    assert np.array_equal(shown.valid, frame.there)
+    assert shown is not None and frame.valid.any() and not frame.valid.all()
+    assert np.array_equal(shown.valid, frame.valid)
     if scene.sun_is_up:
         assert np.array_equal(shown.opacity, frame.opacity)
     else:  # there coarse pixels without a node that shows ground count as lit, but here by night
         assert (shown.opacity[shown.valid] == 255).all() and (shown.opacity == frame.opacity).mean() > 0.999
     apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
-    assert apart.max() <= 1 and (apart > 0).mean() <= MOST_DIFFERING
+    assert apart.max() <= 1 and (apart > 0).mean() <= MAX_DIFFERING
     assert [each.name for each in shown.passes] == plan.passes
 
 
@@ -84,7 +84,7 @@ def test_they_have_a_styles_colours(gl, hills, style, exaggeration, altitude):
     shown, frame = drawn_by_heights(scene, view, plan), render_frame(scene, view, plan)
     assert shown is not None and heights_suffice(scene, view, plan, SHADED)
     apart = np.abs(shown.color.astype(int) - frame.color)
-    assert apart.max() <= 1 and (apart > 0).mean() <= MOST_DIFFERING
+    assert apart.max() <= 1 and (apart > 0).mean() <= MAX_DIFFERING
 
 
 def test_shadow_is_in_them(gl, hills):
@@ -104,7 +104,7 @@ def test_gentle_ground_under_a_high_sun_is_lit(gl, write_raster, make_scene, zoo
     assert plan.headline == "none"
     shown, frame = drawn_by_heights(scene, view, plan), render_frame(scene, view, plan)
     assert shown is not None and shown.valid.any() and not shown.opacity.any()
-    assert np.array_equal(shown.valid, frame.there) and np.array_equal(shown.opacity, frame.opacity)
+    assert np.array_equal(shown.valid, frame.valid) and np.array_equal(shown.opacity, frame.opacity)
     assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
     assert [each.name for each in shown.passes] == plan.passes
     steep = make_scene(scene.elevation.name, 160.0, 1.0, effects={"cast_shadows": "off"})
@@ -138,7 +138,7 @@ def test_pixels_between_nodes_show_what_geometry_buffers_do(gl, hills, altitude,
     plan = plan_of(scene, view)
     assert heights_suffice(scene, view, plan, COLOR)
     frame = render_frame(scene, view, plan)
-    assert np.array_equal(draw(scene, view, plan, COLOR).color, frame.color) and frame.there.any() and not frame.there.all()
+    assert np.array_equal(draw(scene, view, plan, COLOR).color, frame.color) and frame.valid.any() and not frame.valid.all()
     if scene.sun_is_up:
         assert len(np.unique(frame.opacity)) > 2
 
@@ -171,5 +171,5 @@ def test_ground_one_node_wide_goes_by_its_triangles(gl, write_raster, make_scene
         view = view_of(scene, zoom)
         plan = plan_of(scene, view)
         shown, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
-        assert np.array_equal(shown.valid, frame.there) and np.array_equal(shown.opacity, frame.opacity)
+        assert np.array_equal(shown.valid, frame.valid) and np.array_equal(shown.opacity, frame.opacity)
         assert np.abs(shown.color.astype(int) - frame.color).max() <= 1

@@ -163,8 +163,8 @@ def test_the_blocks_of_a_map_lie_side_by_side(gl, scene, monkeypatch):
     frame = with_layers(scene, "shadow-map", "stencil", view=view, algorithm=overrides, map_size=64)
     assert frame.layers["shadow-map"]["spot"].shape == (128, 128)
     stencil = frame.layers["stencil"][SUN]
-    assert stencil.shape == frame.there.shape == (60, 50)
-    ground = frame.there & (frame.height_m == 0.0)
+    assert stencil.shape == frame.valid.shape == (60, 50)
+    ground = frame.valid & (frame.height_m == 0.0)
     assert (stencil == 2).sum() > 20
     np.testing.assert_array_equal((stencil == 2)[ground], (frame.visibilities[SUN] < 0.5)[ground])
     np.testing.assert_array_equal(stencil > 0, ground)
@@ -173,7 +173,7 @@ def test_the_blocks_of_a_map_lie_side_by_side(gl, scene, monkeypatch):
 def facing(scene: Scene, view: MapView | PerspectiveView, light: str) -> np.ndarray:
     """Where floor is seen that a light would reach if nothing cast."""
     plain = with_layers(scene, view=view, algorithm="none")
-    return plain.there & (plain.height_m == 0.0) & (plain.visibilities[light] > 0.5)
+    return plain.valid & (plain.height_m == 0.0) & (plain.visibilities[light] > 0.5)
 
 
 @pytest.mark.parametrize(("view", "light"), [("eye", SUN), ("eye", "spot"), ("eye", "omni"), ("map", SUN)])
@@ -190,7 +190,7 @@ def test_what_volumes_leave(gl, scene, view, light):
     assert {each.dtype for each in (stencil, silhouettes, faces)} == {np.dtype(np.uint8)}
     floor, dark = facing(scene, seen, light), frame.visibilities[light] < 0.5
     np.testing.assert_array_equal((stencil > 0)[floor], dark[floor])
-    assert dark[floor].any() and not stencil[frame.there & ~dark].any()
+    assert dark[floor].any() and not stencil[frame.valid & ~dark].any()
     assert (faces >= stencil)[floor].all() and ((faces - stencil) % 2 == 0)[floor].all()
     assert (faces > stencil)[floor].any() and set(np.unique(silhouettes)) == {0, 255}
 
@@ -251,7 +251,7 @@ def test_volumes_of_two_algorithms_stand_beside_one_another(gl, scene, tmp_path)
     frame = with_layers(scene, "volumes", algorithm=choice)
     write_pass_layer(scene, frame, "volumes", tmp_path / "two.png")
     picture = np.asarray(Image.open(tmp_path / "two.png"))
-    rows, cols = frame.there.shape
+    rows, cols = frame.valid.shape
     assert picture.shape == (rows, 2 * cols, 3)
     np.testing.assert_array_equal(picture[:, :cols], frame.color)  # a level floor has no volume
     assert (picture[:, cols:] != frame.color).any()

@@ -132,9 +132,9 @@ def test_edges_are_where_classes_or_things_change(ridge):
     kind[5, 5] = MESHES
     np.testing.assert_array_equal(edge_pixels(replace(buffer, kind=kind), [np.ones_like(lit)]), around)
     assert not edge_pixels(buffer, []).any()
-    there = buffer.there.copy()
-    there[0] = False
-    assert not edge_pixels(replace(buffer, there=there), [lit])[0].any()
+    valid = buffer.valid.copy()
+    valid[0] = False
+    assert not edge_pixels(replace(buffer, valid=valid), [lit])[0].any()
 
 
 def test_an_edge_along_the_border_of_two_blocks(gl, ridge, monkeypatch):

@@ -12,7 +12,7 @@ from skugga.terrain.describe import describe
 from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting, LampFacts, LightFacts
 from skugga.terrain.level.level import Shadows
 from tests.render import plan_of
-from tests.shadows.test_area_light import LAMPS, MOST_SOFT_ERROR, figure, seen
+from tests.shadows.test_area_light import LAMPS, MAX_SOFT_ERROR, figure, seen
 
 SIDE_M = 28.0
 
@@ -49,7 +49,7 @@ def test_fewer_points_show_what_all_of_them_do(gl, tmp_path, monkeypatch, pixels
     for module in (algorithm, penumbra):
         monkeypatch.setattr(module, "light_points", lambda descriptor, light: MAX_POINTS)
     many = seen(scene, view, "spot", algorithm="shadow_map", map_size=512)
-    assert np.nanmean(np.abs(few - many)) <= MOST_SOFT_ERROR
+    assert np.nanmean(np.abs(few - many)) <= MAX_SOFT_ERROR
 
 
 def test_a_lamp_that_no_pixel_shows_as_a_ball_costs_one_map(gl, tmp_path):

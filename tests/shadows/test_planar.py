@@ -176,7 +176,7 @@ def test_samples_of_a_pixel_are_drawn_where_they_lie(gl, build, light):
     scene = build(meshes=[{"source": "box.obj", "at": places}], **LIGHTS[light])
     view = scene.view("back")
     buffer = multisampled(scene, view).buffer
-    assert len(buffer.there) > view.rows
+    assert len(buffer.valid) > view.rows
     kinds = scene.objects.kinds
     found = planar.fill(buffer, scene, light, kinds, NO_CASTERS, None, PassLog())
     real = truth_fill(buffer, scene, light, kinds, find_casters(scene, buffer), TruthSettings(), PassLog())

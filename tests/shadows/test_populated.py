@@ -22,7 +22,7 @@ from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.metrics import LEAST_SIGHT, MOST_INTERIOR, block_shares, coverage_error, error_metrics
+from skugga.shadows.truth.metrics import MAX_INTERIOR, MIN_SIGHT, block_shares, coverage_error, error_metrics
 from skugga.shadows.truth.truth import TruthSettings, coverage_truth, fill, trace_truth
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
@@ -114,10 +114,10 @@ def test_shadows_of_buildings_are_right_inside(gl, build, kind, altitude):
     buffer = geometry_buffer(scene, view)
     real = trace_truth(buffer, scene, find_casters(scene, buffer))
     found = error_metrics(frame.visibility, real, describe(scene, view).pixel_m, 0.5)
-    cast = ~real.lit & ~real.attached & real.there
-    assert 0.02 < cast.sum() / real.there.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
-    assert found.interior <= MOST_INTERIOR and found.interior_parts == 0 and found.wrong_cast < 0.03 and found.edge_p95 <= 2.0
-    assert found.interior_sees >= LEAST_SIGHT
+    cast = ~real.lit & ~real.attached & real.valid
+    assert 0.02 < cast.sum() / real.valid.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
+    assert found.interior <= MAX_INTERIOR and found.interior_parts == 0 and found.wrong_cast < 0.03 and found.edge_p95 <= 2.0
+    assert found.interior_sees >= MIN_SIGHT
 
 
 # -- kind by kind
@@ -134,7 +134,7 @@ def test_each_kind_casts_its_own_shadow(gl, build):
     real = {kind: fill(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
     together = fill(buffer, scene, SUN, all_kinds, casters, TruthSettings(), PassLog())
     assert (np.prod(list(real.values()), axis=0) != together).mean() < 1e-4  # rays start at offsets by what there is
-    ground = buffer.there & (buffer.kind == RELIEF)
+    ground = buffer.valid & (buffer.kind == RELIEF)
     masks = {}
     for kind in all_kinds:
         choice = {other: "shadow_map" if other == kind else "none" for other in all_kinds}
@@ -148,7 +148,7 @@ def test_each_kind_casts_its_own_shadow(gl, build):
     assert masks["meshes"][ground].mean() > 0.01 and masks["forest"][ground].mean() > 0.02
     assert (masks["meshes"] != masks["forest"])[ground].mean() > 0.03
     none = render_points(scene, view, algorithm="none")
-    np.testing.assert_array_equal(none.visibility[buffer.there] == 0.0, attached(buffer, scene)[buffer.there])
+    np.testing.assert_array_equal(none.visibility[buffer.valid] == 0.0, attached(buffer, scene)[buffer.valid])
 
 
 def test_two_algorithms_share_the_kinds_of_a_light(gl, build):
@@ -257,7 +257,7 @@ CHOICES = st.one_of(
 def test_the_passes_that_run_are_the_plan_s(gl, build, meshes, forest, spot, omni, ground, sun, choice, kind, effect):
     """Whatever casts, whatever shines and whatever is asked for; every light of the plan has its visibility."""
     keys = {"meshes": [HOUSE] if meshes else [], "forest": [TREES] if forest else [], "effects": {"cast_shadows": effect}}
-    lights = {name: spec for name, spec, there in (("spot", SPOT, spot), ("omni", OMNI, omni)) if there}
+    lights = {name: spec for name, spec, is_set in (("spot", SPOT, spot), ("omni", OMNI, omni)) if is_set}
     if sun is None:
         keys["sun"] = "none"
     scene = build(*(sun or (0.0, 0.0)), ground, lights=lights, **keys)
@@ -269,7 +269,7 @@ def test_the_passes_that_run_are_the_plan_s(gl, build, meshes, forest, spot, omn
     assert list(frame.visibilities) == list(plan.lights)
     assert set(plan.lights) == set(scene.light_names) or plan.lights == (SUN,)
     for visibility in frame.visibilities.values():
-        assert np.isfinite(visibility[frame.there]).all()
+        assert np.isfinite(visibility[frame.valid]).all()
     if sun is None or sun[1] < 0.0:
         assert SUN not in frame.visibilities or not np.nan_to_num(frame.visibilities[SUN]).any()
 

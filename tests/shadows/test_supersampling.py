@@ -60,7 +60,7 @@ def test_a_coarse_pixel_shows_the_share_of_its_ground_that_is_lit(ridges, pixels
         inside = np.clip(np.minimum((i + 1) * width, np.arange(SIDE) + 1.0) - np.maximum(i * width, np.arange(SIDE)), 0.0, 1.0)
         expected.append(1.0 - (inside * DARK).sum() / inside.sum())
     frame = render(ridges, view_of(ridges, pixels), algorithm="sweep")
-    assert frame.there.all()
+    assert frame.valid.all()
     np.testing.assert_allclose(frame.visibility, np.broadcast_to(expected, (pixels, pixels)), atol=1e-6)
 
 
@@ -119,7 +119,7 @@ def test_a_coarse_map_is_the_finer_one_averaged(jacksboro):
     fine, coarse = (around_middle(jacksboro, zoom) for zoom in (11, 9))
     fine_frame, coarse_frame = (render(jacksboro, view, algorithm="sweep") for view in (fine, coarse))
     visibility = fine_frame.visibility.reshape(coarse.rows, 4, coarse.cols, 4)
-    known = ~np.isnan(visibility).any(axis=(1, 3)) & coarse_frame.there
+    known = ~np.isnan(visibility).any(axis=(1, 3)) & coarse_frame.valid
     away = np.abs(coarse_frame.visibility - visibility.mean(axis=(1, 3)))[known]
     assert known.sum() > 5000 and 0.2 < coarse_frame.visibility[known].mean() < 0.9
     assert away.mean() < 1e-3 and (away > 1e-6).mean() < 0.02
@@ -158,9 +158,9 @@ def test_heights_alone_say_what_a_geometry_buffer_says(jacksboro):
     pixels = supersampling(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
     assert pixels is not None and pixels.heights_only
     nodes = pixels.nodes(view)
-    (shown, lean), (there, full) = lit_nodes(pixels, nodes, True, PassLog()), _lit_points(pixels, nodes, True, PassLog())
-    np.testing.assert_array_equal(shown, there)
-    assert ((full["sun"] > 0.5) != lean["sun"])[there].mean() < 2e-3  # a pixel's lines are spread over its nodes
+    (shown, lean), (valid, full) = lit_nodes(pixels, nodes, True, PassLog()), _lit_points(pixels, nodes, True, PassLog())
+    np.testing.assert_array_equal(shown, valid)
+    assert ((full["sun"] > 0.5) != lean["sun"])[valid].mean() < 2e-3  # a pixel's lines are spread over its nodes
 
 
 def test_penumbras_are_averaged(ridges):
@@ -190,10 +190,10 @@ def test_means_leave_out_what_is_not_there():
     view = MapView(grid, 0.0, 0.0, 1.0, 1.0, 1, 3)
     nodes = MapView(grid.subdivided(2), 0.0, 0.0, 1.0, 1.0, 4, 12)
     assert (nodes.grid.x0, nodes.grid.y0, nodes.grid.step) == (0.5, -0.5, 1.0)
-    values, there = np.zeros((4, 12), np.float32), np.ones((4, 12), bool)
+    values, valid = np.zeros((4, 12), np.float32), np.ones((4, 12), bool)
     values[:, :2] = 1.0
-    there[:, 1:4], there[:, 8:] = False, False
-    np.testing.assert_array_equal(means_in_pixels(view, nodes, values, there), [[1.0, 0.0, np.nan]])
+    valid[:, 1:4], valid[:, 8:] = False, False
+    np.testing.assert_array_equal(means_in_pixels(view, nodes, values, valid), [[1.0, 0.0, np.nan]])
     np.testing.assert_array_equal(largest_in_pixels(view, nodes, (2 * values).astype(np.uint8)), [[2, 0, 0]])
 
 
@@ -209,8 +209,8 @@ def test_means_of_what_is_lit_are_counted_as_means_of_numbers(finer):
     grid = Grid(tile_grid(MERCATOR, 0).crs, 0.5, -0.5, 1.0)
     view = MapView(grid, 16.0, 24.0, 1.0, 1.0, 9, 7)
     nodes = covered_nodes(view, finer(grid))
-    lit, there = (random.random((nodes.rows, nodes.cols)) < share for share in (0.5, 0.7))
-    there[:9, :9] = False
-    counted = means_in_pixels(view, nodes, lit, there)
+    lit, valid = (random.random((nodes.rows, nodes.cols)) < share for share in (0.5, 0.7))
+    valid[:9, :9] = False
+    counted = means_in_pixels(view, nodes, lit, valid)
     assert np.isnan(counted).any() and np.isfinite(counted).any()
-    assert np.array_equal(counted, means_in_pixels(view, nodes, lit.astype(np.float32), there), equal_nan=True)
+    assert np.array_equal(counted, means_in_pixels(view, nodes, lit.astype(np.float32), valid), equal_nan=True)

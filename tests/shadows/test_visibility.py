@@ -37,8 +37,8 @@ def filled(scene: Scene, light: str, effects: set[str]) -> tuple[np.ndarray, np.
     buffer = geometry_buffer(scene, view)
     steps = plan_of(scene, view, algorithm="shadow_volume").steps_under(light)
     found = fill_steps(steps, buffer, scene, find_casters(scene, buffer), effects, PassLog())
-    hidden = buffer.there & ~without_hidden_points(buffer, scene, "sun", {"haze"}).there
-    return found[buffer.there], hidden[buffer.there]
+    hidden = buffer.valid & ~without_hidden_points(buffer, scene, "sun", {"haze"}).valid
+    return found[buffer.valid], hidden[buffer.valid]
 
 
 def test_the_sun_is_not_looked_for_where_haze_hides_the_answer(gl, hazy):
@@ -70,7 +70,7 @@ def test_kinds_that_are_filled_apart_multiply(gl, hazy):
     assert [step.algorithm for step in steps] == ["shadow_map", "shadow_volume"]
     together = fill_steps(steps, buffer, hazy, casters, (), PassLog())
     apart = [fill_steps([step], buffer, hazy, casters, (), PassLog()) for step in steps]
-    np.testing.assert_array_equal(together[buffer.there], (apart[0] * apart[1])[buffer.there])
+    np.testing.assert_array_equal(together[buffer.valid], (apart[0] * apart[1])[buffer.valid])
     assert (fill_steps([], buffer, hazy, casters, (), PassLog()) == 1.0).all()
 
 

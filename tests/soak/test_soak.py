@@ -85,14 +85,14 @@ def resident_mib(pid: int) -> float:
     return int(pages) * resource.getpagesize() / 2**20
 
 
-def new_suns() -> Iterator[str]:
+def rate_limiter() -> Iterator[str]:
     """Addresses of one tile under suns that nobody has asked for."""
     return (f"{TILE}?azimuth={number % 3600 / 10}&altitude={5 + number / 3600:.3f}" for number in itertools.count())
 
 
 def test_four_times_the_load(tmp_path: Path, capsys: pytest.CaptureFixture):
     """Accepted requests keep their latency, others are refused with a time to come back, and what is kept is answered at once."""
-    suns = new_suns()
+    suns = rate_limiter()
     with service(tmp_path) as (port, _, log):
         asyncio.run(closed_loop(port, lambda: next(suns), WORKERS, 5.0))
         sustained = asyncio.run(closed_loop(port, lambda: next(suns), WORKERS, SECONDS))
@@ -131,7 +131,7 @@ async def _tag(port: int) -> str:
 
 
 def test_processes_killed_and_stopped_under_load(tmp_path: Path, capsys: pytest.CaptureFixture):
-    suns, chosen = new_suns(), random.Random(7)
+    suns, chosen = rate_limiter(), random.Random(7)
     with service(tmp_path) as (port, process, _):
 
         async def harm() -> int:

@@ -39,8 +39,8 @@ def test_it_is_shaded_as_the_same_ground_is_elsewhere(write_raster, make_scene):
         frame = render_frame(
             scene, scene.view(size=(96, 96)), plan_of_view(scene, scene.view(size=(96, 96)), "map", policy="rules")
         )
-        assert 0.95 < frame.there.mean() < 1.0
-        shares.append((frame.visibility[frame.there] < 0.5).mean())
+        assert 0.95 < frame.valid.mean() < 1.0
+        shares.append((frame.visibility[frame.valid] < 0.5).mean())
     assert 0.05 < shares[1] < 0.95
     assert shares[0] == pytest.approx(shares[1], abs=0.01)
 

@@ -86,8 +86,8 @@ def test_the_way_has_one_velocity_on_both_sides_of_a_key(floor):
 
 def test_a_camera_that_stays_at_a_place_rests_there(floor):
     """Which a spline that is twice differentiable does not: it swings."""
-    here, there = (0, 0, 5), (80, 10, 30)
-    path = path_of(floor, ("0s", here, (9, 9, 0)), ("2s", there, (9, 9, 0)), ("5s", there, (9, 9, 0)), ("6s", here, (9, 9, 0)))
+    here, far = (0, 0, 5), (80, 10, 30)
+    path = path_of(floor, ("0s", here, (9, 9, 0)), ("2s", far, (9, 9, 0)), ("5s", far, (9, 9, 0)), ("6s", here, (9, 9, 0)))
     resting = [eye(path, time) for time in np.linspace(2.0, 5.0, 13)]
     assert np.ptp(resting, axis=0).max() < 1e-9
     assert np.linalg.norm(eye(path, 1.0) - resting[0]) > 30.0

@@ -109,7 +109,7 @@ def test_the_fast_path_has_the_same_climate(gl, hilly):
     plan = plan_of(hilly, view)
     assert heights_suffice(hilly, view, plan, SHADED)
     shown, frame = drawn_by_heights(hilly, view, plan), render_frame(hilly, view, plan)
-    assert shown is not None and frame.there.sum() > 3000
+    assert shown is not None and frame.valid.sum() > 3000
     apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
     assert apart.max() <= 1 and (apart > 0).mean() < 1e-3
     own_ramp = StyleSpec(name="natural", ramp=OWN)
@@ -131,7 +131,7 @@ def test_a_place_has_one_colour_in_all_maps(write_raster, make_scene, latitude, 
         earth = buffer.frame.points_to_earth(buffer.position_frame_m)
         sine = earth[..., 2] / np.linalg.norm(earth, axis=-1)
         albedo = albedo_of(buffer, scene)
-        level = buffer.there & (np.abs(buffer.height_m - height) < 0.01)
+        level = buffer.valid & (np.abs(buffer.height_m - height) < 0.01)
         table = tint_table(OWN, True)
         for k in range(3):
             at = (sine[level] + 1.0) / 2.0 * (LATITUDES - 1)

@@ -265,7 +265,7 @@ def test_bands_reach_no_farther_than_the_view_and_hold_all_that_it_shows(tmp_pat
         assert (sides_m <= 2.2 * band.far_m).all(), f"{sides_m} m of what is seen at {band.far_m} m"
     buffer = geometry_buffer(scene, view)
     rotation, translation = scene.light.from_frame(buffer.frame)
-    points = buffer.position_frame_m[buffer.there]
+    points = buffer.position_frame_m[buffer.valid]
     distance_m = np.linalg.norm(points - view.in_frame(buffer.frame)[0], axis=-1)
     for band in bands:
         in_light = (points[(distance_m > band.near_m) & (distance_m <= band.far_m)] @ rotation.T + translation)[

@@ -61,7 +61,7 @@ def shone(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndar
     """Where some lights reach all that faces them, and the light (rows, cols, 3) of the lamps among them."""
     buffer = geometry_buffer(scene, view)
     shines = {name: np.where(attached(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
-    lamplight = np.zeros((*buffer.there.shape, 3), np.float32)
+    lamplight = np.zeros((*buffer.valid.shape, 3), np.float32)
     apply_lamps(lamplight, ShadingBlock(scene, view, buffer, shines))
     return shines, lamplight
 
@@ -70,7 +70,7 @@ def light_of(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
     """Linear colour (rows, cols, 3) of a view where some lights reach all that faces them."""
     buffer = geometry_buffer(scene, view)
     shines, lamplight = shone(scene, view, names)
-    return shade(buffer, scene, shines.get("sun", np.zeros(buffer.there.shape, np.float32)), lamplight=lamplight)
+    return shade(buffer, scene, shines.get("sun", np.zeros(buffer.valid.shape, np.float32)), lamplight=lamplight)
 
 
 # -- where and which way
@@ -193,7 +193,7 @@ def test_without_any_light_all_is_dark_but_drawn(gl, floor, make_scene, post):
     scene = make_scene(floor, sun="none", meshes=post)
     assert scene.light_names == () and scene.light is None and not scene.sun_is_up
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
-    assert list(frame.visibilities) == [SUN] and (frame.visibility == 0.0).all() and frame.there.all()
+    assert list(frame.visibilities) == [SUN] and (frame.visibility == 0.0).all() and frame.valid.all()
     assert [record.name for record in frame.passes] == frame.plan.passes == ["geometry", "attached", "shading"]
     assert frame.plan.headline == "none"
     assert 0 < frame.color.mean() < 60

@@ -85,8 +85,8 @@ def test_a_real_place_is_planned_and_drawn(scene_of, name):
         plan = make_plan(describe(scene, view, "view"), scene.loaded.level, {})
         assert tuple(plan.algorithm["sun"]) == town.casters
         frame = render_frame(scene, view, plan)
-        assert frame.there.mean() > 0.5
-        seen = frame.visibility[frame.there]
+        assert frame.valid.mean() > 0.5
+        seen = frame.visibility[frame.valid]
         assert 0.02 < (seen < 0.5).mean() < 0.8, "neither without shadows nor all in shadow"
 
 

@@ -12,7 +12,7 @@ from skugga.terrain.errors import InputError, LevelError
 from skugga.terrain.gbuffer.view_geometry import geometry_buffer
 from skugga.terrain.scene import Scene
 from skugga.terrain.shading import LEVEL_GROUND, SKY_SHARE, shade
-from skugga.terrain.shading_loops import LEAST_SKY, SHOULDER, _direct_on_slope, _on_slope, _sky_on_slope, luminance_of, shoulder
+from skugga.terrain.shading_loops import MIN_SKY, SHOULDER, _direct_on_slope, _on_slope, _sky_on_slope, luminance_of, shoulder
 from skugga.terrain.srgb import linear_of_srgb
 from skugga.terrain.style import STYLES, TINT_LOW_M, TINT_STEP_M, tint_table
 from tests.render import plan_of
@@ -36,7 +36,7 @@ def plane(write_raster, make_scene, east_rise: float, azimuth: float, altitude: 
 def middle(scene: Scene, sunlight: float) -> np.ndarray:
     """Linear colour (3,) in the middle of a map, of which the sun lights a share."""
     buffer = geometry_buffer(scene, scene.view(size=(60, 60)))
-    return shade(buffer, scene, np.full(buffer.there.shape, sunlight, np.float32))[30, 30].astype(float)
+    return shade(buffer, scene, np.full(buffer.valid.shape, sunlight, np.float32))[30, 30].astype(float)
 
 
 def color_of(scene: Scene) -> np.ndarray:
@@ -134,7 +134,7 @@ def test_slopes_in_shadow_that_face_the_sun_get_more_of_the_sky(write_raster, ma
         for rise in (0.5, -0.5)  # the one that rises eastwards faces west
     )
     k = STYLES["grey"].sky_towards_sun
-    factors = [max(1.0 + k * (side * np.sin(slope) + np.cos(slope) - 1.0), LEAST_SKY) for side in (1.0, -1.0)]
+    factors = [max(1.0 + k * (side * np.sin(slope) + np.cos(slope) - 1.0), MIN_SKY) for side in (1.0, -1.0)]
     assert towards / away == pytest.approx(factors[0] / factors[1], rel=0.02)
     assert towards > 1.5 * away
 
@@ -142,7 +142,7 @@ def test_slopes_in_shadow_that_face_the_sun_get_more_of_the_sky(write_raster, ma
 def test_the_skys_factor_is_one_on_level_ground_and_never_none():
     for sine in (-0.1, 0.0, 0.3, 0.9, 1.0):
         assert _sky_on_slope(sine, 1.0, sine, 0.8) == pytest.approx(1.0)
-        assert _sky_on_slope(-1.0, 0.0, sine, 1.0) >= LEAST_SKY
+        assert _sky_on_slope(-1.0, 0.0, sine, 1.0) >= MIN_SKY
 
 
 def test_slopes_are_exaggerated_as_tangents():

@@ -64,8 +64,8 @@ def test_the_picture_is_filled_with_ground(tmp_path):
 def test_it_looks_at_the_relief_and_not_at_the_plain(tmp_path):
     """Hills in the north-east quarter alone."""
     row, col = np.mgrid[:160, :160]
-    there = np.clip((col - 80) / 10, 0, 1) * np.clip((80 - row) / 10, 0, 1)
-    scene = scene_of(tmp_path, 100 + there * (hills() - 300))
+    ramp = np.clip((col - 80) / 10, 0, 1) * np.clip((80 - row) / 10, 0, 1)
+    scene = scene_of(tmp_path, 100 + ramp * (hills() - 300))
     x, y = seen(scene)[4]
     assert x > 500e3 + 70 * CELL_M and y > 5200e3 - 95 * CELL_M
 

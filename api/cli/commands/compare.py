@@ -21,7 +21,7 @@ from skugga.api.cli.common_options import (
 )
 from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.progress import ProgressBar
-from skugga.api.cli.same_command import same_command
+from skugga.api.cli.repeated_command import command_line_without
 from skugga.terrain.atomic_files import write_atomically
 
 if TYPE_CHECKING:
@@ -68,10 +68,10 @@ def compare(
     with ProgressBar("Comparing") as advance:
         limit_s = TIME_LIMIT_S if time_limit is None else time_limit
         comparison = measure(scene, view_value, view, fine, advance, light, limit_s, only=only or ())
-    again = same_command(context, "output", "json_file", "time_limit", "only")
-    show(comparison, again)
+    base_command = command_line_without(context, "output", "json_file", "time_limit", "only")
+    show(comparison, base_command)
     if output is not None:
-        write(scene, comparison, output, view, again)
+        write(scene, comparison, output, view, base_command)
     if json_file is not None:
         rows = [row.figures for row in comparison.rows]
         write_atomically(json_file, json.dumps(rows, indent=2) + "\n")

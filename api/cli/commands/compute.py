@@ -11,7 +11,7 @@ from skugga.api.cli.common_options import AltitudeOption, AzimuthOption, BoundsO
 from skugga.api.cli.completion import complete_words
 from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.options import overrides_of, with_shadow_options
-from skugga.api.cli.product_parameters import product_options, with_product_options
+from skugga.api.cli.product_parameters import split_product_options, with_product_options
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.products import RASTER_PRODUCTS, product_named
 from skugga.terrain.level.level import parse_sun
@@ -34,14 +34,14 @@ def compute_raster(
     crs: CrsOption = None,
     resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
     like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Use the grid of this raster.")] = None,
-    **asked: Any,
+    **declared_options: Any,
 ) -> None:
     """Compute any product of a level as a raster of any size, by default on the level's grid."""
-    from skugga.api.cli.shading import RasterPlace, write_product
+    from skugga.api.cli.shading import OutputGrid, write_product
     from skugga.api.request import ProductRequest
 
-    options, shadows = product_options(product_named(product, RASTER_PRODUCTS, "--product"), asked)
+    options, shadows = split_product_options(product_named(product, RASTER_PRODUCTS, "--product"), declared_options)
     request = ProductRequest(product=product, options=options, sun=parse_sun(time, azimuth, altitude))
-    place = RasterPlace(read_bounds(bounds), crs, resolution, like)
+    place = OutputGrid(read_bounds(bounds), crs, resolution, like)
     with ProgressBar("Computing") as advance:
         write_product(level, output, [request], place, overrides_of("render", shadows), advance)

@@ -11,9 +11,9 @@ from skugga.api.cli.common_options import JsonOption
 
 def doctor(as_json: JsonOption = False) -> None:
     """Check OpenGL and packages on this machine, and name what is missing."""
-    from skugga.api.cli.doctor import examine
+    from skugga.api.cli.doctor import run_checks
 
-    findings = examine()
+    findings = run_checks()
     if as_json:
         typer.echo(json.dumps([finding.__dict__ for finding in findings], indent=2))
     else:

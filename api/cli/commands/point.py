@@ -52,11 +52,11 @@ def sun_at_point(
     from skugga.terrain.level.level import parse_sun
 
     sun = parse_sun(time, None, None)
-    asked = PointOptions(at, crs, sun, date, clock, height, year, horizon, output, picture, as_json)
-    check_point_options(asked, points, line, start)
+    options = PointOptions(at, crs, sun, date, clock, height, year, horizon, output, picture, as_json)
+    check_point_options(options, points, line, start)
     if points is not None:
-        report_points(level, points, asked)
+        report_points(level, points, options)
     elif line is not None:
-        report_line(level, line, asked, start, speed, every)
+        report_line(level, line, options, start, speed, every)
     else:
-        report_point(level, asked)
+        report_point(level, options)

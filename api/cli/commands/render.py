@@ -24,7 +24,7 @@ from skugga.api.cli.completion import complete_words
 from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.options import overrides_of, with_shadow_options
 from skugga.api.cli.outputs import check_targets
-from skugga.api.cli.product_parameters import product_options, with_product_options
+from skugga.api.cli.product_parameters import split_product_options, with_product_options
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.products import PRODUCTS, product_named
 from skugga.api.products.product import Product
@@ -91,7 +91,7 @@ def render(
     stats: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
     ] = None,
-    **asked: Any,
+    **declared_options: Any,
 ) -> None:
     """Render a view of a level to an image file, or to a film with a moving sun or camera."""
     from skugga.api.cli.film import FilmOptions, render_film
@@ -99,25 +99,27 @@ def render(
     from skugga.api.request import ProductRequest
 
     product = product_named(layer, (*_LAYERS, *_PASS_LAYERS))
-    options, asked = product_options(product, asked)
+    options, declared_options = split_product_options(product, declared_options)
     film = FilmOptions(start, end, step, path, fps, lossless)
-    if film.given:
+    if film.used_names:
         if light is not None:
-            raise InputError.conflict("--light", film.given[0], "Leave out --light: films show all lights")
-        sun, look = parse_sun(time, azimuth, altitude), (style, slope_exaggeration)
+            raise InputError.conflict("--light", film.used_names[0], "Leave out --light: films show all lights")
+        sun, style_overrides = parse_sun(time, azimuth, altitude), (style, slope_exaggeration)
         view_options = read_size(size), read_bounds(bounds), crs, seconds
-        render_film(level, output, film, view, layer, sun, overrides_of("render", asked), *view_options, look, stats)
+        render_film(
+            level, output, film, view, layer, sun, overrides_of("render", declared_options), *view_options, style_overrides, stats
+        )
         return
     check_output(product, output)
     check_targets(level, [("--output", output), ("--stats", stats)])
-    overrides = overrides_of("render", asked)
+    overrides = overrides_of("render", declared_options)
     with ProgressBar("Rendering") as advance:
         request = ProductRequest(product=layer, options=options, sun=parse_sun(time, azimuth, altitude))
-        place, look = (read_size(size), read_bounds(bounds), crs), (style, slope_exaggeration)
-        found = snapshot(level, view, request, overrides, *place, advance, seconds, light, max_ms, look)
-    found.write(request, output)
+        place, style_overrides = (read_size(size), read_bounds(bounds), crs), (style, slope_exaggeration)
+        result = snapshot(level, view, request, overrides, *place, advance, seconds, light, max_ms, style_overrides)
+    result.write(request, output)
     if stats is not None:
-        write_atomically(stats, json.dumps(statistics(found), indent=2) + "\n")
+        write_atomically(stats, json.dumps(statistics(result), indent=2) + "\n")
 
 
 def check_output(product: Product, path: Path) -> None:

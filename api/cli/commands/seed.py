@@ -12,7 +12,7 @@ from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.options import with_shadow_options
 from skugga.api.cli.product_parameters import with_product_options
 from skugga.api.products import SEEDED_PRODUCTS
-from skugga.api.seed.messages import LEAST_LIMIT_S
+from skugga.api.seed.messages import MIN_LIMIT_S
 from skugga.terrain.level.level_source import LevelSource
 
 
@@ -75,9 +75,9 @@ def seed(
             help="Seconds after which a render process is ended if it has not finished its task; another process then retries. The "
             "limit is at least a hundred times the expected time of the task.",
         ),
-    ] = LEAST_LIMIT_S,
+    ] = MIN_LIMIT_S,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON: the forecast of --dry-run, or a summary.")] = False,
-    **asked: Any,
+    **declared_options: Any,
 ) -> None:
     """Render a level's tiles in advance, into an archive (PMTiles) or a folder. The same command resumes an interrupted run,
     and redraws what has changed.
@@ -88,4 +88,4 @@ def seed(
         output, zooms, layer, format, time, times, start, end, step, azimuth, altitude, workers, scheduler, work, shards, dry_run,
         max_tasks, retry_failed, task_timeout, as_json,
     )  # fmt: skip
-    seed_level(level, options, asked)
+    seed_level(level, options, declared_options)

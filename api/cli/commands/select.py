@@ -76,21 +76,21 @@ def select(
     bounds: BoundsOption = None,
     crs: CrsOption = None,
     seconds: SecondsOption = None,
-    **asked: Any,
+    **declared_options: Any,
 ) -> None:
     """Choose algorithms and settings for one view or all views of a level, and give the reasons."""
     from skugga.api.cli.planning import pin_plan, plan_level_view, write_descriptor
     from skugga.api.report.plan_text import format_plan
 
     check_targets(level, [("--descriptor", descriptor)])
-    overrides = overrides_of("select", asked)
+    overrides = overrides_of("select", declared_options)
     if all_views or all_scales:
-        from skugga.api.cli.all_views import refuse_beside
+        from skugga.api.cli.all_views import check_conflicts
 
         option = "--all-views" if all_views else "--all-scales"
-        refuse_beside(option, view, {"size": size, "bounds": bounds, "crs": crs, "descriptor": descriptor})
+        check_conflicts(option, view, {"size": size, "bounds": bounds, "crs": crs, "descriptor": descriptor})
     if all_scales:
-        refuse_beside("--all-scales", view, {"all-views": all_views or None, "seconds": seconds})
+        check_conflicts("--all-scales", view, {"all-views": all_views or None, "seconds": seconds})
         _probe_all_scales(level, policy, overrides, parse_sun(time, azimuth, altitude), budget, as_json, write)
         return
     if all_views:
@@ -117,12 +117,12 @@ def _select_all(
     as_json: bool,
     write: bool,
 ) -> None:
-    from skugga.api.cli.all_views import pin_all, plan_all_views, rows_of, table_of
+    from skugga.api.cli.all_views import choices_table, json_rows, pin_all, plan_all_views
 
     with spinner("Choosing for all views"):
         choices = plan_all_views(level, policy, overrides, sun, seconds, ignore_pins=write, budget=budget)
         message = pin_all(choices) if write else None
-    _print_choices(rows_of(choices), table_of(choices), as_json, message)
+    _print_choices(json_rows(choices), choices_table(choices), as_json, message)
 
 
 def _print_choices(rows: list[dict[str, Any]], table: Table, as_json: bool, message: str | None) -> None:

@@ -31,7 +31,7 @@ def serve(
     """Serve levels as map tiles over HTTP, with a viewer on /. Archives of tiles (.pmtiles) are served unchanged."""
     from skugga.api.catalogue import ARCHIVE_SUFFIX, bundled_levels
     from skugga.api.settings import load_settings
-    from skugga.api.workers.spawned import Spawned
+    from skugga.api.workers.piped_process import Spawned
     from skugga.api.workers.worker_config import first_config
     from skugga.api.workers.worker_main import worker_main
     from skugga.terrain.level.level_source import LevelSource

@@ -13,7 +13,7 @@ from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.options import overrides_of, with_shadow_options
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.progress import ProgressBar
-from skugga.api.cli.times import suns_of
+from skugga.api.cli.times import suns_from_options
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
 from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.level_source import LevelSource
@@ -51,19 +51,19 @@ def shade_raster(
         Path | None,
         typer.Option(metavar="ITEM.json", help="Use the sun or the time of a STAC item, and its finest grid if it has one."),
     ] = None,
-    **asked: Any,
+    **declared_options: Any,
 ) -> None:
     """Write a shadow mask as a raster of any size, by default on the level's grid."""
-    from skugga.api.cli.shading import RasterPlace, scene_of_item, write_product
+    from skugga.api.cli.shading import OutputGrid, sun_and_grid_of_item, write_product
     from skugga.api.request import ProductRequest
 
     product_named(layer, SHADED, "--layer")
-    overrides = overrides_of("render", asked)
+    overrides = overrides_of("render", declared_options)
     cells: Path | RasterCells | None = like
-    suns = suns_of(parse_sun(time, azimuth, altitude), times, start, end, step)
+    suns = suns_from_options(parse_sun(time, azimuth, altitude), times, start, end, step)
     if stac is not None:
         check_targets(level, [("--output", output)], stac)
-        suns, cells = scene_of_item(stac, suns, like, free=bounds is None and crs is None and resolution is None)
+        suns, cells = sun_and_grid_of_item(stac, suns, like, uses_item_grid=bounds is None and crs is None and resolution is None)
     with ProgressBar("Shading") as advance:
         requests = [ProductRequest(product=layer, sun=sun) for sun in suns]
-        write_product(level, output, requests, RasterPlace(read_bounds(bounds), crs, resolution, cells), overrides, advance)
+        write_product(level, output, requests, OutputGrid(read_bounds(bounds), crs, resolution, cells), overrides, advance)

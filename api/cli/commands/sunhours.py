@@ -53,12 +53,12 @@ def sun_hours_raster(
     levels: Annotated[str, typer.Option(metavar="V,V,...", help="Values of the contours.")] = "1,2,3,4,6,8,10,12",
 ) -> None:
     """Write hours of sun, first or last sun as a raster of any size, over dates and daily windows."""
-    from skugga.api.cli.shading import RasterPlace, write_product
+    from skugga.api.cli.shading import OutputGrid, write_product
     from skugga.api.cli.sunning import contour_values, sun_hours_request
 
     rules = step, threshold, least_altitude, height
     request = sun_hours_request(quantity, (date, last, every), window, clock, rules)
     lines = None if contours is None else (contours, contour_values((contours, levels)))
-    place = RasterPlace(read_bounds(bounds), crs, resolution, like)
+    place = OutputGrid(read_bounds(bounds), crs, resolution, like)
     with ProgressBar("Following the sun") as advance:
         write_product(level, output, [request], place, {}, advance, lines)

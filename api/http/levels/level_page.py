@@ -118,14 +118,14 @@ def snippets(level: ServedLevel, base: str, shown: ProductRequest | None = None)
 
 def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
     """Yield names and HTML values of a level's facts."""
-    name, said = quote(level.name), level.loaded.level
+    name, level_file = quote(level.name), level.loaded.level
     if level.bounds is not None:
         west, south, east, north = level.bounds
         yield "Bounds", f"{west:.5f}, {south:.5f}, {east:.5f}, {north:.5f} (west, south, east, north; degrees)"
         yield "Own maps", escape(level.map_crs.name)
     yield "Lowest ground", f"{level.lowest_m:.0f} m"
-    if said.sun is not None and said.sun != "none":
-        sun = said.sun
+    if level_file.sun is not None and level_file.sun != "none":
+        sun = level_file.sun
         angles = f"azimuth {sun.azimuth:g}°, altitude {sun.altitude:g}°" if sun.time is None else sun.time.isoformat()
         yield "Own sun", escape(angles)
     if DEFAULT_MATRIX_SET in level.zooms:
@@ -137,8 +137,8 @@ def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
     yield "Views", ", ".join(f'<a href="{name}/snapshot.png?view={quote(view)}">{escape(view)}</a>' for view in views)
     if level.world.off_earth_reason is None:
         yield "For QGIS", f'<a href="{name}.qlr">{escape(level.name)}.qlr</a>, to be dragged into its window'
-    if said.attribution:
-        yield "Attribution", escape(said.attribution)
+    if level_file.attribution:
+        yield "Attribution", escape(level_file.attribution)
     for warning in level.warnings:
         yield "Warning", escape(warning)
 

@@ -10,10 +10,10 @@ from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
 from skugga.api.http.answers import base_url, document_answer, json_answer
-from skugga.api.http.documented import LEVEL_ERRORS, LevelPath, file_docs, problem_docs
 from skugga.api.http.levels.level_page import page_answer, snippets
 from skugga.api.http.ogc.ogc_requests import this_year
 from skugga.api.http.ogc.qgis_layers import qgis_layers
+from skugga.api.http.openapi_parts import LEVEL_ERRORS, LevelPath, file_docs, problem_docs
 from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
 from skugga.api.http.state.service import TheService
 from skugga.api.request import ProductRequest

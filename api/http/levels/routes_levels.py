@@ -10,9 +10,9 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
-from skugga.api.http.answers import JSON_MEDIA, base_url, json_answer, wants_page
-from skugga.api.http.documented import LEVEL_ERRORS, LevelPath, MatrixSetPath, file_docs, for_example, problem_docs
+from skugga.api.http.answers import JSON_MEDIA, base_url, json_answer, wants_html
 from skugga.api.http.levels.level_page import page_answer
+from skugga.api.http.openapi_parts import LEVEL_ERRORS, LevelPath, MatrixSetPath, example_query, file_docs, problem_docs
 from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
 from skugga.api.http.state.service import TheService
 from skugga.api.http.tiles.legends import legend_answer
@@ -54,7 +54,7 @@ async def levels(request: Request, service: TheService) -> Response:
 async def level(request: Request, service: TheService, level: LevelPath) -> Response:
     """Return one level, as in the list of levels. Browsers get its page."""
     served = await service.level(level)
-    if wants_page(request):
+    if wants_html(request):
         return await page_answer(request, service, served, Vary="Accept")
     return json_answer(request, served.summary(), Vary="Accept")
 
@@ -118,7 +118,7 @@ async def tilejson(
     dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
     response_class=Response,
     responses=file_docs("The picture.", LEGEND_MEDIA_TYPES.values()),
-    openapi_extra=for_example("date", layer=SUN_HOURS),
+    openapi_extra=example_query("date", layer=SUN_HOURS),
 )
 async def legend_of_tiles(
     request: Request,

@@ -9,11 +9,11 @@ from fastapi import APIRouter, Body, Depends, Query, Request, Response
 
 from skugga.api.errors import NotServedError
 from skugga.api.http.answers import json_answer
-from skugga.api.http.documented import PLAN_DOCS, WORK_ERRORS, Answers, LevelPath, problem_docs
 from skugga.api.http.levels.sent_descriptor import SentDescriptor
-from skugga.api.http.moments import time_headers
 from skugga.api.http.numbers import PLAIN_WHOLE
+from skugga.api.http.openapi_parts import PLAN_DOCS, WORK_ERRORS, Answers, LevelPath, problem_docs
 from skugga.api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
+from skugga.api.http.request_times import time_headers
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import TheService
 from skugga.api.matrices import matrix_set_of
@@ -65,7 +65,7 @@ async def plan(
 ) -> Any:
     """Return the selector's choice for a view, or for the tiles of a zoom, with its reasons."""
     served = await service.level(level)
-    view_or_tiles = _seen(served, view, zoom, tms)
+    view_or_tiles = _view_or_tiles(served, view, zoom, tms)
     job = PlanJob(
         level=served.key, view=view_or_tiles, policy=wanted.policy, request=PictureRequest(sun=sun, overrides=wanted.overrides)
     )
@@ -92,7 +92,7 @@ async def descriptor(
 ) -> Any:
     """Return the facts from which plans of a view, or of the tiles of a zoom, are made. `POST /plan` accepts them."""
     served = await service.level(level)
-    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), request=PictureRequest(sun=sun))
+    job = DescriptorJob(level=served.key, view=_view_or_tiles(served, view, zoom, tms), request=PictureRequest(sun=sun))
     answer = await service.done(request, job)
     assert isinstance(answer, DescriptorAnswer)
     return json_answer(request, json.loads(answer.descriptor_json), **time_headers(request))
@@ -127,7 +127,7 @@ async def plan_of_descriptor(
     return Response(answer.plan_json, headers={"Cache-Control": "no-store"}, media_type="application/json")
 
 
-def _seen(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | Tiles:
+def _view_or_tiles(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | Tiles:
     """Return a view's name, or the tiles of a zoom.
 
     Raises ``InputError`` if both are given, or ``tms`` without ``zoom``, and ``NotServedError`` for an unknown zoom.

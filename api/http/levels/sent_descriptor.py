@@ -22,10 +22,10 @@ MAX_LAMPS = 32
 MAX_BANDS = 64
 """Maximum number of distance bands. Each is a power of two."""
 
-LEAST_EXTENT_M = 1e-6
+MIN_EXTENT_M = 1e-6
 """Minimum extent of the receivers in light space, in metres. A shadow map needs a positive extent."""
 
-LEAST_SIZE, MOST_SIZE = 1e-12, 1e15
+MIN_MAGNITUDE, MAX_MAGNITUDE = 1e-12, 1e15
 """Allowed magnitude of numbers other than 0 and infinities.
 
 Smaller and larger numbers under- or overflow to 0 or infinity in calculations."""
@@ -178,8 +178,8 @@ class SentDescriptor(Descriptor):
     @classmethod
     def _of_a_size(cls, data: object) -> object:
         for place, number in _numbers(data):
-            if number and number == number and abs(number) != np.inf and not LEAST_SIZE <= abs(number) <= MOST_SIZE:
-                told = {"place": place[:MAX_NAME], "least": f"{LEAST_SIZE:g}", "most": f"{MOST_SIZE:g}"}
+            if number and number == number and abs(number) != np.inf and not MIN_MAGNITUDE <= abs(number) <= MAX_MAGNITUDE:
+                told = {"place": place[:MAX_NAME], "least": f"{MIN_MAGNITUDE:g}", "most": f"{MAX_MAGNITUDE:g}"}
                 raise PydanticCustomError("size", "0, or a magnitude of {least} to {most}, for {place}", told)
         return data
 
@@ -196,7 +196,7 @@ class SentDescriptor(Descriptor):
 
     @model_validator(mode="after")
     def _complete(self) -> SentDescriptor:
-        if self.highest_sun_deg is not None and max(self.receivers_light_m or (0.0,)) < LEAST_EXTENT_M:
+        if self.highest_sun_deg is not None and max(self.receivers_light_m or (0.0,)) < MIN_EXTENT_M:
             raise PydanticCustomError("receivers", "extents in receivers_light_m under a sun (metres, not all 0)")
         haze, refraction = self.facts.haze, self.facts.refraction
         hazy = self.view_kind == "perspective" and haze is not None and haze.visibility_m is not None

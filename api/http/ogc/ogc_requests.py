@@ -9,11 +9,11 @@ from typing import Literal
 from fastapi import Request, Response
 
 from skugga.api.errors import NotServedError
-from skugga.api.http.moments import asked_sun
-from skugga.api.http.numbers import decimal_in
-from skugga.api.http.ogc.ogc_times import date_asked, default_date, instant_asked
-from skugga.api.http.parameters import OWN_STYLE, PRODUCT_OPTIONS, served_options, style_named
+from skugga.api.http.numbers import parse_decimal
+from skugga.api.http.ogc.ogc_times import default_date, requested_date, requested_instant
+from skugga.api.http.parameters import DEFAULT_STYLE, PRODUCT_OPTIONS, served_options, style_named
 from skugga.api.http.problems import public_error
+from skugga.api.http.request_times import request_sun
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import service_of
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
@@ -26,7 +26,7 @@ from skugga.terrain.style import STYLES
 GIS_FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg", "tif")
 """Formats that map clients know. The first one that a layer has is preferred."""
 
-OWN_KEYS = frozenset({"WIDTH", "HEIGHT", "FORMAT", "STYLE", "STYLES", "TIME", "DATE", "I", "J"})
+RESERVED_KEYS = frozenset({"WIDTH", "HEIGHT", "FORMAT", "STYLE", "STYLES", "TIME", "DATE", "I", "J"})
 """Keys that WMS and WMTS define. They are no options of products, although some options have the same names."""
 
 DocumentKind = Literal["WMTS", "WMS"]
@@ -46,16 +46,16 @@ class KeyValues:
         """Return a value; ``None`` if it is missing or empty."""
         return self._values.get(name) or None
 
-    def need(self, name: str, remedy: str) -> str:
+    def require(self, name: str, remedy: str) -> str:
         """Return a value. Raises ``InputError`` with a remedy if it is missing."""
         value = self.get(name)
         if value is None:
             raise InputError.missing(name, remedy)
         return value
 
-    def whole(self, name: str) -> int:
+    def integer(self, name: str) -> int:
         """Return a whole number. Raises ``InputError``."""
-        value = self.need(name, "Give a whole number")
+        value = self.require(name, "Give a whole number")
         if not (value.isascii() and value.isdigit() and len(value) < 10):
             raise InputError(name, value, "a whole number")
         return int(value)
@@ -63,7 +63,7 @@ class KeyValues:
     def number(self, name: str) -> float | None:
         """Return a number; ``None`` if it is missing. Raises ``InputError``."""
         value = self.get(name)
-        number = None if value is None else decimal_in(value)
+        number = None if value is None else parse_decimal(value)
         if value is not None and number is None:
             raise InputError(name, value, "a number")
         return number
@@ -71,8 +71,8 @@ class KeyValues:
 
 def styles_of(layer: str) -> dict[str, str]:
     """Return the styles of a layer, as descriptions by name. The level's own style comes first."""
-    others = {style.name: style.about for style in STYLES.values()} if PRODUCTS[layer].is_display else {}
-    return {OWN_STYLE: "Default", **others}
+    named_styles = {style.name: style.about for style in STYLES.values()} if PRODUCTS[layer].is_display else {}
+    return {DEFAULT_STYLE: "Default", **named_styles}
 
 
 def layer_title(level: ServedLevel, layer: str) -> str:
@@ -100,53 +100,53 @@ def gis_formats(layer: str) -> tuple[MapFormat, ...]:
     return tuple(format for format in GIS_FORMATS if format in PRODUCTS[layer].map_formats)
 
 
-def format_named(media_type: str) -> MapFormat:
+def format_of_media_type(media_type: str) -> MapFormat:
     """Return the format of a media type. Raises ``InputError``."""
-    for format, known in MEDIA_TYPES.items():
-        if media_type.lower().split(";")[0].strip() in (known, format):
+    for format, known_media_type in MEDIA_TYPES.items():
+        if media_type.lower().split(";")[0].strip() in (known_media_type, format):
             return format
     raise InputError("FORMAT", media_type, ", ".join(MEDIA_TYPES[format] for format in GIS_FORMATS))
 
 
-def options_asked(level: ServedLevel, layer: str, asked: KeyValues) -> ProductOptions:
+def layer_options(level: ServedLevel, layer: str, parameters: KeyValues) -> ProductOptions:
     """Return the options of a product from the keys of a request.
 
     Keys have the names of the options. A product of whole dates takes its date from TIME. Raises ``InputError``.
     """
     product = PRODUCTS[layer]
-    names = [name for name in served_options(product) if name.upper() not in OWN_KEYS]
+    names = [name for name in served_options(product) if name.upper() not in RESERVED_KEYS]
     for name in PRODUCT_OPTIONS:
         key = name.upper()
-        if name not in names and key not in OWN_KEYS and asked.get(key) is not None:
+        if name not in names and key not in RESERVED_KEYS and parameters.get(key) is not None:
             raise InputError(key, Problem(f"layer {layer} has no such option"), "Omit it")
-    given: dict[str, object] = {name: value for name in names if (value := asked.get(name.upper())) is not None}
+    values: dict[str, object] = {name: value for name in names if (value := parameters.get(name.upper())) is not None}
     if product.when == "days":
-        given["date"] = date_asked(asked.get("TIME"), default_date(level, this_year()))
+        values["date"] = requested_date(parameters.get("TIME"), default_date(level, this_year()))
     try:
-        return product.options_of({**product.options.UNSERVED, **given})
+        return product.options_of({**product.options.UNSERVED, **values})
     except InputError as error:
         raise error.renamed(error.name.upper()) from None
 
 
-def sun_at_time(request: Request, level: ServedLevel, asked: KeyValues) -> SunSpec | None:
+def requested_sun(request: Request, level: ServedLevel, parameters: KeyValues) -> SunSpec | None:
     """Return the sun of a request's TIME, or of its AZIMUTH and ALTITUDE; ``None``: the level's own. Raises ``InputError``."""
-    instant = instant_asked(asked.get("TIME"), level.world.anchor_lon_deg)
+    instant = requested_instant(parameters.get("TIME"), level.world.anchor_lon_deg)
     grain_s = service_of(request).settings.time_grain_s
-    return asked_sun(request, instant, asked.number("AZIMUTH"), asked.number("ALTITUDE"), grain_s)
+    return request_sun(request, instant, parameters.number("AZIMUTH"), parameters.number("ALTITUDE"), grain_s)
 
 
-def shown_asked(request: Request, level: ServedLevel, layer: str, asked: KeyValues, style_key: str) -> ProductRequest:
+def layer_request(request: Request, level: ServedLevel, layer: str, parameters: KeyValues, style_key: str) -> ProductRequest:
     """Return the product request of a layer, with the request's options, sun, and the style of ``style_key``.
 
     Raises ``InputError``.
     """
-    options = options_asked(level, layer, asked)
+    options = layer_options(level, layer, parameters)
     if PRODUCTS[layer].when != "sun":
         return ProductRequest(product=layer, options=options)
-    style = style_named(asked.get(style_key), style_key)
+    style = style_named(parameters.get(style_key), style_key)
     if style is not None and not PRODUCTS[layer].is_display:
-        raise InputError(style_key, style, OWN_STYLE)
-    return ProductRequest(product=layer, options=options, sun=sun_at_time(request, level, asked), style=style)
+        raise InputError(style_key, style, DEFAULT_STYLE)
+    return ProductRequest(product=layer, options=options, sun=requested_sun(request, level, parameters), style=style)
 
 
 def this_year() -> int:
@@ -155,11 +155,11 @@ def this_year() -> int:
 
 
 def exception_answer(
-    request: Request, error: SkuggaError, codes: dict[str, str], written: Callable[[str, str | None, str], bytes]
+    request: Request, error: SkuggaError, codes: dict[str, str], write_xml: Callable[[str, str | None, str], bytes]
 ) -> Response:
     """Return an error as a response in a service's XML, with its status from ``skugga.api.errors``.
 
-    ``codes`` are the exception codes of the service by parameter. ``written`` writes the XML of a code, a parameter and a text.
+    ``codes`` are the exception codes of the service by parameter. ``write_xml`` writes the XML of a code, a parameter and a text.
     """
     outcome, text = public_error(request, error)
     headers = {"Cache-Control": "no-store"}
@@ -169,4 +169,4 @@ def exception_answer(
     code = codes.get((name or "").upper(), codes[""] if name is None else codes["*"])
     if isinstance(error, InputError) and error.value is MISSING_VALUE:
         code = codes["missing"]
-    return Response(written(code, name, text), outcome.status, headers, "text/xml")
+    return Response(write_xml(code, name, text), outcome.status, headers, "text/xml")

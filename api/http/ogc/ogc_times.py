@@ -6,14 +6,14 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 
-from skugga.api.http.moments import CURRENT, OWN_TIME
+from skugga.api.http.request_times import CURRENT, DEFAULT_TIME
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.products import PRODUCTS
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
 from skugga.terrain.level.level import parse_sun
 
-OFFERED_STEP = timedelta(minutes=10)
+LISTED_STEP = timedelta(minutes=10)
 """Step between the times that the capabilities list. Any other time is served, too; ``current`` is served, but never listed."""
 
 EQUINOX = 3, 21
@@ -23,13 +23,13 @@ _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 _OFFSET = re.compile(r"(Z|z|[+\- ]\d\d:?\d\d)$")
 
 
-def instant_asked(text: str | None, lon_deg: float) -> str | None:
+def requested_instant(text: str | None, lon_deg: float) -> str | None:
     """Return the instant of a TIME in ISO 8601 with an offset, ``None`` for the level's own sun, or ``current``.
 
     A time without an offset is in UTC. A date means its solar noon at a longitude. An interval means its begin. Any other text is
     returned unchanged; ``skugga.terrain.level.level.parse_sun`` refuses it.
     """
-    if text is None or text.strip().lower() in ("", OWN_TIME):
+    if text is None or text.strip().lower() in ("", DEFAULT_TIME):
         return None
     begin = text.strip().partition("/")[0]
     if begin.lower() == CURRENT:
@@ -39,13 +39,13 @@ def instant_asked(text: str | None, lon_deg: float) -> str | None:
             noon = datetime.combine(date.fromisoformat(begin), datetime.min.time(), UTC) + timedelta(hours=12.0 - lon_deg / 15.0)
         except (ValueError, OverflowError):
             return begin
-        return _written(noon.replace(microsecond=0))
+        return _iso_utc(noon.replace(microsecond=0))
     return begin if _OFFSET.search(begin) else f"{begin}Z"
 
 
-def date_asked(text: str | None, default: date) -> date:
+def requested_date(text: str | None, default: date) -> date:
     """Return the date of a TIME, for a layer of whole dates. Raises ``InputError``."""
-    if text is None or text.strip().lower() in ("", OWN_TIME):
+    if text is None or text.strip().lower() in ("", DEFAULT_TIME):
         return default
     try:
         day = date.fromisoformat(text.strip()[:10])
@@ -71,32 +71,32 @@ class TimeDimension:
     span: str
 
 
-def time_dimension(level: ServedLevel, layer: str, year: int, asked: str | None = None) -> TimeDimension:
+def time_dimension(level: ServedLevel, layer: str, year: int, default_time: str | None = None) -> TimeDimension:
     """Return the times of a layer that changes with the sun.
 
-    The default is ``asked``, else the level's own time. A level whose sun has only angles has the default ``default``. For hours of
-    sun the default is the date of the level's time, or the equinox. The span is the year of the level's time, or else ``year``; the
-    sun of any other year is the same to a fraction of a degree. The steps include the level's own time, because QGIS takes a
-    time that is listed beside a span for the begin of that span. Raises ``InputError``.
+    The default is ``default_time``, else the level's own time. A level whose sun has only angles has the default ``default``. For
+    hours of sun the default is the date of the level's time, or the equinox. The span is the year of the level's time, or else
+    ``year``; the sun of any other year is the same to a fraction of a degree. The steps include the level's own time, because QGIS
+    takes a time that is listed beside a span for the begin of that span. Raises ``InputError``.
     """
     own, day = own_time(level), default_date(level, year)
     if PRODUCTS[layer].when == "days":
-        default = date_asked(None if asked == CURRENT else asked, day).isoformat()
+        default = requested_date(None if default_time == CURRENT else default_time, day).isoformat()
         return TimeDimension(default, f"{day.year}-01-01/{day.year}-12-31/P1D")
-    first = datetime(day.year, 1, 1, tzinfo=UTC) + _past_step(own)
-    last = datetime(day.year + 1, 1, 1, tzinfo=UTC) + _past_step(own) - OFFERED_STEP
-    span = f"{_written(first)}/{_written(last)}/PT{OFFERED_STEP.seconds // 60}M"
-    default = OWN_TIME if own is None else _written(own.astimezone(UTC))
-    return TimeDimension(_default_asked(asked, level.world.anchor_lon_deg) or default, span)
+    first = datetime(day.year, 1, 1, tzinfo=UTC) + _step_offset(own)
+    last = datetime(day.year + 1, 1, 1, tzinfo=UTC) + _step_offset(own) - LISTED_STEP
+    span = f"{_iso_utc(first)}/{_iso_utc(last)}/PT{LISTED_STEP.seconds // 60}M"
+    default = DEFAULT_TIME if own is None else _iso_utc(own.astimezone(UTC))
+    return TimeDimension(_requested_default(default_time, level.world.anchor_lon_deg) or default, span)
 
 
-def _default_asked(text: str | None, lon_deg: float) -> str | None:
-    instant = instant_asked(text, lon_deg)
+def _requested_default(text: str | None, lon_deg: float) -> str | None:
+    instant = requested_instant(text, lon_deg)
     sun = None if instant == CURRENT else parse_sun(instant, None, None)
     if sun is None or sun.time is None:
         return instant
     check_times(as_utc([sun.time]))
-    return _written(sun.time.astimezone(UTC))
+    return _iso_utc(sun.time.astimezone(UTC))
 
 
 def own_time(level: ServedLevel) -> datetime | None:
@@ -111,10 +111,10 @@ def default_date(level: ServedLevel, year: int) -> date:
     return date(year, *EQUINOX) if own is None else own.date()
 
 
-def _past_step(own: datetime | None) -> timedelta:
+def _step_offset(own: datetime | None) -> timedelta:
     """Return a time modulo the step, in whole seconds."""
-    return timedelta(seconds=0 if own is None else int(own.timestamp()) % OFFERED_STEP.seconds)
+    return timedelta(seconds=0 if own is None else int(own.timestamp()) % LISTED_STEP.seconds)
 
 
-def _written(moment: datetime) -> str:
+def _iso_utc(moment: datetime) -> str:
     return f"{moment.replace(tzinfo=None).isoformat(timespec='seconds')}Z"

@@ -24,7 +24,7 @@ def document(root: Element) -> bytes:
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="utf-8") + b"\n"
 
 
-def written(values: Iterable[float], separator: str = " ") -> str:
+def format_numbers(values: Iterable[float], separator: str = " ") -> str:
     """Return coordinates as text that reads back to the same floats."""
     return separator.join(repr(float(value)) for value in values)
 

@@ -9,7 +9,7 @@ from skugga.api.http.ogc.ogc_requests import layer_name, layer_title
 from skugga.api.http.ogc.ogc_times import time_dimension
 from skugga.api.http.ogc.ogc_xml import add
 from skugga.api.http.ogc.wmts_capabilities import TIME
-from skugga.api.http.parameters import OWN_STYLE
+from skugga.api.http.parameters import DEFAULT_STYLE
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.matrices import matrix_set_of
 from skugga.api.products.sun_hours import NAME as SUN_HOURS
@@ -69,7 +69,7 @@ def _wmts(level: ServedLevel, layer: str, base_url: str, year: int) -> str:
     return urlencode(
         {
             "crs": _crs_of(qgis_matrix_set(level)), "dpiMode": "7", "format": "image/png", "layers": layer_name(level, layer),
-            "styles": OWN_STYLE,
+            "styles": DEFAULT_STYLE,
             "tileDimensions": f"{TIME}={time_dimension(level, layer, year).default}", "tileMatrixSet": qgis_matrix_set(level),
             "url": f"{base_url}/levels/{quote(level.name)}/WMTSCapabilities.xml",
         },

@@ -10,17 +10,16 @@ from starlette.concurrency import run_in_threadpool
 
 from skugga.api.errors import NotServedError
 from skugga.api.http.answers import base_url, document_answer
-from skugga.api.http.documented import WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
 from skugga.api.http.ogc.ogc_requests import (
     KeyValues,
     exception_answer,
-    format_named,
-    shown_asked,
+    format_of_media_type,
+    layer_request,
+    requested_sun,
     split_layer,
-    sun_at_time,
     this_year,
 )
-from skugga.api.http.ogc.ogc_times import date_asked, default_date
+from skugga.api.http.ogc.ogc_times import default_date, requested_date
 from skugga.api.http.ogc.ogc_xml import wms_exception
 from skugga.api.http.ogc.wms_capabilities import (
     INFO_MEDIA,
@@ -28,11 +27,12 @@ from skugga.api.http.ogc.wms_capabilities import (
     MAP_MEDIA,
     WMS_LAYERS,
     WMS_VERSION,
-    map_formats_told,
+    map_media_types,
     wms_capabilities,
 )
-from skugga.api.http.parameters import OWN_STYLE
-from skugga.api.http.points.point_answers import of_a_day
+from skugga.api.http.openapi_parts import WORK_ERRORS, LevelPath, example_query, exception_docs, file_docs, ogc_parameters
+from skugga.api.http.parameters import DEFAULT_STYLE
+from skugga.api.http.points.point_answers import resolve_day
 from skugga.api.http.points.point_documents import Rows, report_features, report_page, report_rows, report_text
 from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.served_levels import ServedLevel
@@ -61,7 +61,7 @@ WMS_CODES = {
 """Exception codes by the wrong parameter: those of WMS 1.3.0, table E.1, or else those of OWS Common."""
 
 
-WMS_KEYS = key_values(
+WMS_KEYS = ogc_parameters(
     SERVICE=("`WMS`, or nothing.", "WMS"),
     VERSION=("`1.3.0`, or nothing.", WMS_VERSION),
     REQUEST=(f"One of {OPERATIONS}.", "GetMap"),
@@ -84,7 +84,7 @@ WMS_KEYS = key_values(
     AZIMUTH=("With `ALTITUDE`, instead of `TIME`: degrees clockwise from true north.", "235"),
     ALTITUDE=("Apparent degrees above the horizon.", "22"),
 )
-WMS_EXAMPLE = for_example("REQUEST", "LAYERS", "CRS", "BBOX", "WIDTH", "HEIGHT", "FORMAT")
+WMS_EXAMPLE = example_query("REQUEST", "LAYERS", "CRS", "BBOX", "WIDTH", "HEIGHT", "FORMAT")
 WMS_DOCS = file_docs(
     "The document, the map, what is there, or the legend.",
     dict.fromkeys([*MAP_MEDIA, "text/xml", *INFO_MEDIA, *LEGEND_MEDIA]),
@@ -109,22 +109,22 @@ async def wms_of_level(request: Request, service: TheService, level: LevelPath) 
 
 async def _answer(request: Request, service: Service, level: str | None) -> Response:
     try:
-        asked = KeyValues(request)
-        wanted = asked.need("REQUEST", f"Use one of {OPERATIONS}")
-        if (asked.get("SERVICE") or "WMS").upper() != "WMS":
-            raise InputError("SERVICE", asked.get("SERVICE"), "WMS")
-        if wanted.lower() == "getcapabilities":  # any VERSION is accepted: the client has to take this one (6.2.4)
+        parameters = KeyValues(request)
+        operation = parameters.require("REQUEST", f"Use one of {OPERATIONS}")
+        if (parameters.get("SERVICE") or "WMS").upper() != "WMS":
+            raise InputError("SERVICE", parameters.get("SERVICE"), "WMS")
+        if operation.lower() == "getcapabilities":  # any VERSION is accepted: the client has to take this one (6.2.4)
             return await _capabilities(request, service, level)
-        if wanted.lower() != "getlegendgraphic" and (asked.get("VERSION") or WMS_VERSION) != WMS_VERSION:
-            raise InputError("VERSION", asked.get("VERSION"), WMS_VERSION)
-        match wanted.lower():
+        if operation.lower() != "getlegendgraphic" and (parameters.get("VERSION") or WMS_VERSION) != WMS_VERSION:
+            raise InputError("VERSION", parameters.get("VERSION"), WMS_VERSION)
+        match operation.lower():
             case "getmap":
-                return await _map(request, service, asked)
+                return await _map(request, service, parameters)
             case "getfeatureinfo":
-                return await _feature_info(request, service, asked)
+                return await _feature_info(request, service, parameters)
             case "getlegendgraphic":
-                return await _legend(request, service, asked)
-        raise InputError("REQUEST", wanted, OPERATIONS)
+                return await _legend(request, service, parameters)
+        raise InputError("REQUEST", operation, OPERATIONS)
     except SkuggaError as error:
         return exception_answer(request, error, WMS_CODES, wms_exception)
 
@@ -142,9 +142,9 @@ async def _capabilities(request: Request, service: Service, level: str | None) -
     return document_answer(request, body, "text/xml")
 
 
-async def _layer(service: Service, asked: KeyValues, key: str) -> tuple[ServedLevel, str]:
+async def _layer(service: Service, parameters: KeyValues, key: str) -> tuple[ServedLevel, str]:
     """Return the level and the layer that a key names. Raises ``NotServedError`` or ``InputError``."""
-    name = asked.need(key, "Give one layer, such as LEVEL:color")
+    name = parameters.require(key, "Give one layer, such as LEVEL:color")
     if "," in name:
         raise NotServedError(key, f"{key}: several layers in one map. Use one layer: LayerLimit of the capabilities is 1.")
     level_name, layer = split_layer(key, name)
@@ -156,24 +156,24 @@ async def _layer(service: Service, asked: KeyValues, key: str) -> tuple[ServedLe
     return level, layer
 
 
-def _extent(asked: KeyValues) -> tuple[str, CRS, MapBounds, tuple[int, int]]:
+def _extent(parameters: KeyValues) -> tuple[str, CRS, MapBounds, tuple[int, int]]:
     """Return a request's CRS code, CRS, bounds in that CRS, and (width, height) in pixels. Raises ``InputError``."""
-    code = crs_code(asked.need("CRS", "Give a CRS, such as EPSG:3857"))
+    code = crs_code(parameters.require("CRS", "Give a CRS, such as EPSG:3857"))
     crs = crs_of_code(code)
-    bounds = parse_bounds(asked.need("BBOX", "Give four numbers"), "BBOX", north_first(crs))
-    width, height = (check_side(name, asked.whole(name)) for name in ("WIDTH", "HEIGHT"))
+    bounds = parse_bounds(parameters.require("BBOX", "Give four numbers"), "BBOX", north_first(crs))
+    width, height = (check_side(name, parameters.integer(name)) for name in ("WIDTH", "HEIGHT"))
     return code, crs, bounds, (width, height)
 
 
-async def _map(request: Request, service: Service, asked: KeyValues) -> Response:
-    level, layer = await _layer(service, asked, "LAYERS")
-    code, _, bounds, size = await run_in_threadpool(_extent, asked)
-    format = format_named(asked.need("FORMAT", "Give a media type, such as image/png"))
+async def _map(request: Request, service: Service, parameters: KeyValues) -> Response:
+    level, layer = await _layer(service, parameters, "LAYERS")
+    code, _, bounds, size = await run_in_threadpool(_extent, parameters)
+    format = format_of_media_type(parameters.require("FORMAT", "Give a media type, such as image/png"))
     if format not in PRODUCTS[layer].map_formats:
-        raise InputError("FORMAT", MEDIA_TYPES[format], f"{map_formats_told(layer)} for layer {layer}")
-    shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLES")
-    clear = (asked.get("TRANSPARENT") or "FALSE").upper() == "TRUE"
-    background = None if clear else _background(asked.get("BGCOLOR") or "0xFFFFFF")
+        raise InputError("FORMAT", MEDIA_TYPES[format], f"{map_media_types(layer)} for layer {layer}")
+    shown = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLES")
+    is_transparent = (parameters.get("TRANSPARENT") or "FALSE").upper() == "TRUE"
+    background = None if is_transparent else _background(parameters.get("BGCOLOR") or "0xFFFFFF")
     return await map_answer(request, service, level, MapQuery(bounds, code, size, shown, format, background))
 
 
@@ -184,48 +184,48 @@ def _background(text: str) -> str:
     return digits
 
 
-async def _feature_info(request: Request, service: Service, asked: KeyValues) -> Response:
-    level, layer = await _layer(service, asked, "QUERY_LAYERS")
-    _, crs, (west, south, east, north), (width, height) = await run_in_threadpool(_extent, asked)
-    col, row = (asked.whole(name) for name in ("I", "J"))
+async def _feature_info(request: Request, service: Service, parameters: KeyValues) -> Response:
+    level, layer = await _layer(service, parameters, "QUERY_LAYERS")
+    _, crs, (west, south, east, north), (width, height) = await run_in_threadpool(_extent, parameters)
+    col, row = (parameters.integer(name) for name in ("I", "J"))
     for name, pixel, count in (("I", col, width), ("J", row, height)):
         if pixel >= count:
             raise InputError(name, pixel, f"pixels of the map, 0 to {count - 1}")
-    media_type = asked.get("INFO_FORMAT") or INFO_MEDIA[0]
+    media_type = parameters.get("INFO_FORMAT") or INFO_MEDIA[0]
     if media_type not in INFO_MEDIA:
         raise InputError("INFO_FORMAT", media_type, ", ".join(INFO_MEDIA))
     x, y = west + (col + 0.5) * (east - west) / width, north - (row + 0.5) * (north - south) / height
     lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
     is_of_days = PRODUCTS[layer].when == "days"
-    day = date_asked(asked.get("TIME"), default_date(level, this_year())) if is_of_days else None
-    sun = None if is_of_days else sun_at_time(request, level, asked)
+    day = requested_date(parameters.get("TIME"), default_date(level, this_year())) if is_of_days else None
+    sun = None if is_of_days else requested_sun(request, level, parameters)
     if not (abs(lon) <= 540.0 and abs(lat) <= 90.0):
         remark, is_json = "this pixel shows no place on earth", media_type == "application/json"
-        text = report_features(None, {"remark": remark}) if is_json else _in_words([("Remark", remark)], media_type)
+        text = report_features(None, {"remark": remark}) if is_json else _info_text([("Remark", remark)], media_type)
         return Response(text, headers={"Cache-Control": "no-store"}, media_type=media_type)
-    point, fresh_s = of_a_day(PointQuery(lon=lon, lat=lat, date=day), sun)
+    point, fresh_s = resolve_day(PointQuery(lon=lon, lat=lat, date=day), sun)
     job = PointJob(level=level.key, query=point, request=PictureRequest(sun=sun))
 
-    def written(body: bytes) -> bytes:
+    def write_info(body: bytes) -> bytes:
         report = json.loads(body)
         if media_type == "application/json":
             return report_features((report["lon"], report["lat"]), report).encode()
-        return _in_words(report_rows(report), media_type).encode()
+        return _info_text(report_rows(report), media_type).encode()
 
-    return await job_answer(request, service, job, level.name, "info", media_type, fresh_s, written)
+    return await job_answer(request, service, job, level.name, "info", media_type, fresh_s, write_info)
 
 
-def _in_words(rows: Rows, media_type: str) -> str:
+def _info_text(rows: Rows, media_type: str) -> str:
     return report_page(rows) if media_type == "text/html" else report_text(rows)
 
 
-async def _legend(request: Request, service: Service, asked: KeyValues) -> Response:
-    level, layer = await _layer(service, asked, "LAYER")
-    if asked.get("STYLE") not in (None, OWN_STYLE):
-        raise InputError("STYLE", asked.get("STYLE"), f"{OWN_STYLE}, or no STYLE")
-    media_type = asked.get("FORMAT") or LEGEND_MEDIA[0]
+async def _legend(request: Request, service: Service, parameters: KeyValues) -> Response:
+    level, layer = await _layer(service, parameters, "LAYER")
+    if parameters.get("STYLE") not in (None, DEFAULT_STYLE):
+        raise InputError("STYLE", parameters.get("STYLE"), f"{DEFAULT_STYLE}, or no STYLE")
+    media_type = parameters.get("FORMAT") or LEGEND_MEDIA[0]
     if media_type not in LEGEND_MEDIA:
         raise InputError("FORMAT", media_type, ", ".join(LEGEND_MEDIA))
     format = "svg" if media_type == LEGEND_MEDIA[1] else "png"
-    shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLE")
+    shown = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLE")
     return await legend_answer(request, level, shown, format, "LAYER")  # type: ignore[arg-type]

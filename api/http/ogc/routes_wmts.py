@@ -11,11 +11,26 @@ from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from skugga.api.http.answers import base_url, document_answer
-from skugga.api.http.documented import LEVEL_ERRORS, WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
-from skugga.api.http.ogc.ogc_requests import KeyValues, exception_answer, format_named, shown_asked, split_layer, this_year
+from skugga.api.http.ogc.ogc_requests import (
+    KeyValues,
+    exception_answer,
+    format_of_media_type,
+    layer_request,
+    split_layer,
+    this_year,
+)
 from skugga.api.http.ogc.ogc_xml import ows_exception
 from skugga.api.http.ogc.wmts_capabilities import WMTS_VERSION, wmts_capabilities
-from skugga.api.http.parameters import OWN_STYLE
+from skugga.api.http.openapi_parts import (
+    LEVEL_ERRORS,
+    WORK_ERRORS,
+    LevelPath,
+    example_query,
+    exception_docs,
+    file_docs,
+    ogc_parameters,
+)
+from skugga.api.http.parameters import DEFAULT_STYLE
 from skugga.api.http.state.service import Service, TheService
 from skugga.api.http.tiles.tile_answers import tile_answer
 from skugga.api.http.tiles.tile_docs import EMPTY_DOCS
@@ -33,7 +48,7 @@ CODES = {
 """Exception codes by the wrong parameter: OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24."""
 
 
-DEFAULT_TIME = key_values(TIME=("The default of all layers; default: of each its level's.", "2024-10-21T16:30:00Z"))
+DEFAULT_TIME = ogc_parameters(TIME=("The default of all layers; default: of each its level's.", "2024-10-21T16:30:00Z"))
 
 
 @router.get(
@@ -64,12 +79,12 @@ async def wmts_of_level(request: Request, service: TheService, level: LevelPath)
     return await _capabilities(request, service, level)
 
 
-WMTS_KEYS = key_values(
+WMTS_KEYS = ogc_parameters(
     SERVICE=("`WMTS`, or nothing.", "WMTS"),
     VERSION=("`1.0.0`, or nothing.", WMTS_VERSION),
     REQUEST=("`GetCapabilities` or `GetTile`; the other keys are of tiles.", "GetTile"),
     LAYER=("As level:layer.", "jacksboro:color"),
-    STYLE=("A style of the layer; `default`, or nothing: the level's own.", OWN_STYLE),
+    STYLE=("A style of the layer; `default`, or nothing: the level's own.", DEFAULT_STYLE),
     TILEMATRIXSET=("A tile matrix set by its name.", "WebMercatorQuad"),
     TILEMATRIX=("A matrix of the set: mostly the zoom.", "11"),
     TILEROW=("Row of the tile, from the north.", "800"),
@@ -87,7 +102,7 @@ WMTS_KEYS = key_values(
     responses=file_docs("The tile, or the document.", [*MEDIA_TYPES.values(), "text/xml"])
     | EMPTY_DOCS
     | exception_docs(*WORK_ERRORS),
-    openapi_extra=WMTS_KEYS | for_example("REQUEST", "LAYER", "TILEMATRIXSET", "TILEMATRIX", "TILEROW", "TILECOL", "FORMAT"),
+    openapi_extra=WMTS_KEYS | example_query("REQUEST", "LAYER", "TILEMATRIXSET", "TILEMATRIX", "TILEROW", "TILECOL", "FORMAT"),
 )
 async def wmts_by_keys(request: Request, service: TheService) -> Response:
     """Answer `REQUEST=GetCapabilities` or `GetTile`.
@@ -96,38 +111,38 @@ async def wmts_by_keys(request: Request, service: TheService) -> Response:
     `AZIMUTH` and `ALTITUDE` may replace the time.
     """
     try:
-        asked = KeyValues(request)
-        wanted = asked.need("REQUEST", "Use one of GetCapabilities, GetTile")
-        if (asked.get("SERVICE") or "WMTS").upper() != "WMTS":
-            raise InputError("SERVICE", asked.get("SERVICE"), "WMTS")
+        parameters = KeyValues(request)
+        operation = parameters.require("REQUEST", "Use one of GetCapabilities, GetTile")
+        if (parameters.get("SERVICE") or "WMTS").upper() != "WMTS":
+            raise InputError("SERVICE", parameters.get("SERVICE"), "WMTS")
         for name in ("VERSION", "ACCEPTVERSIONS"):
-            if WMTS_VERSION not in (asked.get(name) or WMTS_VERSION).split(","):
-                raise InputError(name, asked.get(name), WMTS_VERSION)
-        match wanted.lower():
+            if WMTS_VERSION not in (parameters.get(name) or WMTS_VERSION).split(","):
+                raise InputError(name, parameters.get(name), WMTS_VERSION)
+        match operation.lower():
             case "getcapabilities":
                 return await _capabilities(request, service, None)
             case "gettile":
-                return await _tile_by_keys(request, service, asked)
-        raise InputError("REQUEST", wanted, "GetCapabilities, GetTile")
+                return await _tile_by_keys(request, service, parameters)
+        raise InputError("REQUEST", operation, "GetCapabilities, GetTile")
     except SkuggaError as error:
         return exception_answer(request, error, CODES, ows_exception)
 
 
-async def _tile_by_keys(request: Request, service: Service, asked: KeyValues) -> Response:
-    level_name, layer = split_layer("LAYER", asked.need("LAYER", "Give a layer, such as LEVEL:color"))
-    matrix_set = asked.need("TILEMATRIXSET", "Give a tile matrix set, such as WebMercatorQuad")
+async def _tile_by_keys(request: Request, service: Service, parameters: KeyValues) -> Response:
+    level_name, layer = split_layer("LAYER", parameters.require("LAYER", "Give a layer, such as LEVEL:color"))
+    matrix_set = parameters.require("TILEMATRIXSET", "Give a tile matrix set, such as WebMercatorQuad")
     tiled = matrix_set_of(matrix_set)
     matrices = {matrix.id: zoom for zoom, matrix in enumerate(tiled.tileMatrices, tiled.minzoom)}
-    matrix = asked.need("TILEMATRIX", f"Give a matrix of the set {matrix_set}")
+    matrix = parameters.require("TILEMATRIX", f"Give a matrix of the set {matrix_set}")
     if matrix not in matrices:
         raise InputError("TILEMATRIX", matrix, ", ".join(matrices))
-    place = matrices[matrix], asked.whole("TILECOL"), asked.whole("TILEROW")
-    format = format_named(asked.need("FORMAT", "Give a media type, such as image/png"))
+    tile = matrices[matrix], parameters.integer("TILECOL"), parameters.integer("TILEROW")
+    format = format_of_media_type(parameters.require("FORMAT", "Give a media type, such as image/png"))
     level = await service.level(level_name)
     if level.world.off_earth_reason is not None:
         raise UnsupportedError("LAYER", f"{level_name}:{layer}", f"{level.world.off_earth_reason}, so the level has no tiles")
-    shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLE")
-    return await tile_answer(request, service, level_name, matrix_set, place, 1, format, shown)
+    shown = await run_in_threadpool(layer_request, request, level, layer, parameters, "STYLE")
+    return await tile_answer(request, service, level_name, matrix_set, tile, 1, format, shown)
 
 
 async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
@@ -136,8 +151,8 @@ async def _capabilities(request: Request, service: Service, level: str | None) -
         levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
         on_earth = [each for each in levels if each.zooms]
         if level is not None and not on_earth:
-            why = levels[0].world.off_earth_reason or "the level lies outside of all tile matrix sets"
-            raise UnsupportedError("level", level, f"{why}, so it has no tiles")
+            reason = levels[0].world.off_earth_reason or "the level lies outside of all tile matrix sets"
+            raise UnsupportedError("level", level, f"{reason}, so it has no tiles")
         base = base_url(request, service.settings.public_url)
         of_all = f"{base}/wmts/{WMTS_VERSION}/WMTSCapabilities.xml"
         address = of_all if level is None else f"{base}/levels/{quote(level)}/WMTSCapabilities.xml"

@@ -9,11 +9,11 @@ from xml.etree.ElementTree import Element
 from pyproj import CRS
 
 from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LEGEND_SIZE_PX
-from skugga.api.http.moments import OWN_TIME
 from skugga.api.http.ogc.ogc_requests import gis_formats, layer_name, layer_title, styles_of
 from skugga.api.http.ogc.ogc_times import time_dimension
-from skugga.api.http.ogc.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
+from skugga.api.http.ogc.ogc_xml import XLINK, XSI, add, document, format_numbers, lon_lat_box
 from skugga.api.http.ogc.wmts_capabilities import layer_abstract, legend_url
+from skugga.api.http.request_times import DEFAULT_TIME
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.tiles.map_extents import bounds_in, crs_of_code, north_first
 from skugga.api.products import PRODUCTS, products_with
@@ -100,12 +100,12 @@ def _level(top: Element, level: ServedLevel, base_url: str, address: str, year: 
         for tag, edge in (
             ("westBoundLongitude", west), ("eastBoundLongitude", east), ("southBoundLatitude", south), ("northBoundLatitude", north)
         ):  # fmt: skip
-            add(box, tag, written((edge,)))
+            add(box, tag, format_numbers((edge,)))
         for code, crs in all_crs.items():
             _bounding_box(element, level, code, crs)
         if PRODUCTS[layer].when != "none":
             times = time_dimension(level, layer, year)
-            default = {} if times.default == OWN_TIME else {"default": times.default}
+            default = {} if times.default == DEFAULT_TIME else {"default": times.default}
             add(element, "Dimension", times.span, name="time", units="ISO8601", **default)
         if level.loaded.level.attribution:
             add(add(element, "Attribution"), "Title", level.loaded.level.attribution)
@@ -125,7 +125,7 @@ def _bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS) -> 
     except InputError:
         return
     edges = (south, west, north, east) if north_first(crs) else (west, south, east, north)
-    values = dict(zip(("minx", "miny", "maxx", "maxy"), (written((edge,)) for edge in edges), strict=True))
+    values = dict(zip(("minx", "miny", "maxx", "maxy"), (format_numbers((edge,)) for edge in edges), strict=True))
     add(element, "BoundingBox", CRS=code, **values)
 
 
@@ -133,6 +133,6 @@ def _online(parent: Element, address: str) -> None:
     add(parent, "OnlineResource", xlink_type="simple", xlink_href=address)
 
 
-def map_formats_told(layer: str) -> str:
+def map_media_types(layer: str) -> str:
     """Return the media types of a layer's maps, separated by commas."""
     return ", ".join(MEDIA_TYPES[format] for format in gis_formats(layer))

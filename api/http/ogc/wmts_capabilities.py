@@ -11,8 +11,8 @@ from pyproj import CRS
 
 from skugga.api.http.ogc.ogc_requests import gis_formats, layer_name, layer_title, styles_of
 from skugga.api.http.ogc.ogc_times import time_dimension
-from skugga.api.http.ogc.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
-from skugga.api.http.parameters import OWN_STYLE
+from skugga.api.http.ogc.ogc_xml import XLINK, XSI, add, document, format_numbers, lon_lat_box
+from skugga.api.http.parameters import DEFAULT_STYLE
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.matrices import matrix_set_of, tile_limits
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
@@ -74,12 +74,12 @@ def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, yea
     add(element, "ows:Title", layer_title(level, layer))
     add(element, "ows:Abstract", layer_abstract(layer))
     box = add(element, "ows:WGS84BoundingBox")
-    add(box, "ows:LowerCorner", written((west, south)))
-    add(box, "ows:UpperCorner", written((east, north)))
+    add(box, "ows:LowerCorner", format_numbers((west, south)))
+    add(box, "ows:UpperCorner", format_numbers((east, north)))
     add(element, "ows:Identifier", layer_name(level, layer))
     address = f"{base_url}/levels/{quote(level.name)}"
     for name, about in styles_of(layer).items():
-        style = add(element, "Style", **({"isDefault": "true"} if name == OWN_STYLE else {}))
+        style = add(element, "Style", **({"isDefault": "true"} if name == DEFAULT_STYLE else {}))
         add(style, "ows:Title", f"{about[:1].upper()}{about[1:]}")
         add(style, "ows:Identifier", name)
     if PRODUCTS[layer].color_scale is not None:
@@ -109,11 +109,11 @@ def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
 
     It is a WMS address, because QGIS adds keys of WMS to every legend address.
     """
-    asked = {"SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png"}
-    asked["LAYER"] = layer_name(level, layer)
+    query = {"SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png"}
+    query["LAYER"] = layer_name(level, layer)
     if PRODUCTS[layer].when != "none":
-        asked["TIME"] = time_dimension(level, layer, year).default
-    return f"{wms_url}?{urlencode(asked, safe='/:')}"
+        query["TIME"] = time_dimension(level, layer, year).default
+    return f"{wms_url}?{urlencode(query, safe='/:')}"
 
 
 def layer_abstract(layer: str) -> str:
@@ -161,8 +161,8 @@ def _matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) ->
         matrix = matrix_set.matrix(zoom)
         one = add(element, "TileMatrix")
         add(one, "ows:Identifier", matrix.id)
-        add(one, "ScaleDenominator", written((matrix.scaleDenominator,)))
-        add(one, "TopLeftCorner", written(matrix.pointOfOrigin))  # in the axis order of the CRS
+        add(one, "ScaleDenominator", format_numbers((matrix.scaleDenominator,)))
+        add(one, "TopLeftCorner", format_numbers(matrix.pointOfOrigin))  # in the axis order of the CRS
         for tag, value in (
             ("TileWidth", matrix.tileWidth), ("TileHeight", matrix.tileHeight), ("MatrixWidth", matrix.matrixWidth),
             ("MatrixHeight", matrix.matrixHeight),

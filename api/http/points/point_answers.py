@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from fastapi import Request
 
-from skugga.api.http.answers import GIVEN_SUN_S
-from skugga.api.http.moments import quarter_hour
+from skugga.api.http.answers import REQUESTED_SUN_FRESH_S
+from skugga.api.http.request_times import current_quarter_hour
 from skugga.api.http.state.service import Service
 from skugga.api.point.values import PointQuery
 from skugga.api.workers.jobs import PointAnswer, PointJob, PointsJob
 from skugga.terrain.level.parts import SunSpec
 
 
-def of_a_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
+def resolve_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
     """Return a query with a definite day, and the seconds for which its answer stays fresh.
 
     A query without a date and without a sun is about today.
     """
     if sun is not None or point.date is not None:
-        return point, GIVEN_SUN_S
-    begin, left_s = quarter_hour()
+        return point, REQUESTED_SUN_FRESH_S
+    begin, left_s = current_quarter_hour()
     return point.model_copy(update={"now": begin}), left_s
 
 
-async def run_point(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
+async def run_point_job(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
     """Run a point job and return its body. Raises ``SkuggaError``."""
     answer = await service.done(request, job)
     assert isinstance(answer, PointAnswer)

@@ -21,7 +21,7 @@ def report_rows(report: dict[str, Any]) -> Rows:
     now, day = report["now"], report["day"]
     if now is not None:
         rows.append(("Sun", f"azimuth {now['azimuth']:.1f}°, altitude {now['altitude']:.1f}°"))
-        rows.append(("Lit", "yes" if now["lit"] else "no" + (f", by {_caster(now['by'])}" if now["by"] else "")))
+        rows.append(("Lit", "yes" if now["lit"] else "no" + (f", by {_occluder_text(now['by'])}" if now["by"] else "")))
     if day is not None:
         rows += [
             ("Date", f"{day['date']} ({day['clock']})"),
@@ -57,7 +57,7 @@ def report_features(place: tuple[float, float] | None, report: dict[str, Any]) -
     return json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]})
 
 
-def _caster(caster: dict[str, Any]) -> str:
+def _occluder_text(caster: dict[str, Any]) -> str:
     return f"{caster['kind']} {caster['distance_m']:.0f} m away, {caster['elevation']:.1f}° high"
 
 

@@ -10,11 +10,11 @@ from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from skugga.api.http.documented import WORK_ERRORS, LevelPath, file_docs, problem_docs
-from skugga.api.http.moments import PLAIN_DATE, PLAIN_TIME, asked_sun
 from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
+from skugga.api.http.openapi_parts import WORK_ERRORS, LevelPath, file_docs, problem_docs
 from skugga.api.http.parameters import TimeQuery, allow_only
-from skugga.api.http.points.point_answers import of_a_day, run_point
+from skugga.api.http.points.point_answers import resolve_day, run_point_job
+from skugga.api.http.request_times import PLAIN_DATE, PLAIN_TIME, request_sun
 from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.service import Service, TheService
 from skugga.api.point.horizon_formats import HORIZON_FORMATS
@@ -28,14 +28,14 @@ from skugga.terrain.level.parts import SunSpec
 
 router = APIRouter(tags=["points"], responses=problem_docs(*WORK_ERRORS))
 
-POINTS_A_JOB = 200
+POINTS_PER_JOB = 200
 """Points in one job of a worker. Jobs of other requests run between two of them."""
 
-SKY_MEDIA = {"svg": "image/svg+xml", "png": "image/png", "json": "application/json"}
+SKY_MEDIA_TYPES = {"svg": "image/svg+xml", "png": "image/png", "json": "application/json"}
 
 POINT_PARAMETERS = ("lon", "lat", "time", "date", "height", "clock", "year")
 
-DayOrNone = Annotated[date | None, PLAIN_DATE]
+OptionalDate = Annotated[date | None, PLAIN_DATE]
 LonQuery = Annotated[
     float,
     PLAIN_DECIMAL,
@@ -87,7 +87,7 @@ class PointsQuery(BaseModel):
 
     points: list[PointOfMany] = Field(min_length=1, max_length=MAX_POINTS)
     time: Annotated[AwareDatetime | None, PLAIN_TIME] = None
-    date: DayOrNone = None
+    date: OptionalDate = None
     clock: str | None = Field(default=None, max_length=60)
 
 
@@ -181,7 +181,7 @@ async def horizon_of_point(
     "/levels/{level}/point/sun.{format}",
     summary="The sky over a point",
     response_class=Response,
-    responses=file_docs("The chart.", SKY_MEDIA.values()),
+    responses=file_docs("The chart.", SKY_MEDIA_TYPES.values()),
     dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
 )
 async def sky_of_point(
@@ -197,7 +197,7 @@ async def sky_of_point(
     JSON has the figures of the chart. `horizon` has the horizon angles of ground, buildings and leaves in degrees towards each
     `azimuth`. `path` has the sun of the day every five minutes: `azimuth`, `altitude`, and whether it shines on the point.
     """
-    return await _answer(request, service, level, point, time, "sky", format, SKY_MEDIA[format])
+    return await _answer(request, service, level, point, time, "sky", format, SKY_MEDIA_TYPES[format])
 
 
 @router.post(
@@ -221,12 +221,12 @@ async def sun_of_points(
     served = await service.level(level)
     points = tuple(TrackPoint(each.lon, each.lat, each.height, each.time) for each in asked.points)
     query = PointQuery(lon=0.0, lat=0.0, date=asked.date, clock=asked.clock)
-    wanted = _request(asked.time)
-    found: list[Any] = []
-    for first in range(0, len(points), POINTS_A_JOB):
-        job = PointsJob(level=served.key, points=points[first : first + POINTS_A_JOB], query=query, request=wanted)
-        found += json.loads(await run_point(request, service, job))
-    return JSONResponse({"points": found}, headers={"Cache-Control": "no-store"})
+    picture = _request(asked.time)
+    reports: list[Any] = []
+    for first in range(0, len(points), POINTS_PER_JOB):
+        job = PointsJob(level=served.key, points=points[first : first + POINTS_PER_JOB], query=query, request=picture)
+        reports += json.loads(await run_point_job(request, service, job))
+    return JSONResponse({"points": reports}, headers={"Cache-Control": "no-store"})
 
 
 async def _answer(
@@ -240,8 +240,8 @@ async def _answer(
     media_type: str,
 ) -> Response:
     served = await service.level(level)
-    sun = asked_sun(request, time, None, None, service.settings.time_grain_s)
-    point, fresh_s = of_a_day(point, sun)
+    sun = request_sun(request, time, None, None, service.settings.time_grain_s)
+    point, fresh_s = resolve_day(point, sun)
     job = PointJob(level=served.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
     return await job_answer(request, service, job, level, "point", media_type, fresh_s)
 

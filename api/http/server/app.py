@@ -11,7 +11,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from skugga.api.animations.animations import Animations
-from skugga.api.animations.drawing import frames_drawn_by, write_animation
+from skugga.api.animations.drawing import frame_renderer, write_animation
 from skugga.api.errors import TooLargeError
 from skugga.api.http import problems
 from skugga.api.http.answers import EXPOSED_HEADERS, VERSION
@@ -24,11 +24,11 @@ from skugga.api.http.server.cross_origin import CrossOrigin
 from skugga.api.http.server.first_blocks import first_blocks
 from skugga.api.http.server.openapi import install_openapi
 from skugga.api.http.server.problem_handlers import install_problem_handlers
-from skugga.api.http.server.sent_before import SentBefore
-from skugga.api.http.server.watching import CLIENT_GONE, KEPT, Watched
+from skugga.api.http.server.request_middleware import CLIENT_GONE, KEPT, RequestMiddleware
+from skugga.api.http.server.tile_cache_middleware import TileCacheMiddleware
 from skugga.api.http.state.encoded_tiles import EncodedTiles
 from skugga.api.http.state.metrics import ServiceMetrics
-from skugga.api.http.state.new_suns import NewSuns
+from skugga.api.http.state.rate_limiter import RateLimiter
 from skugga.api.http.state.served_archives import ServedArchives
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.http.state.service import ClientGoneError, Service
@@ -38,8 +38,8 @@ from skugga.api.settings import Settings
 from skugga.api.workers.idle_calibration import measured_profile
 from skugga.api.workers.idle_probes import Probe, probed_level
 from skugga.api.workers.jobs import LevelKey
+from skugga.api.workers.piped_process import Spawned, WorkerTarget
 from skugga.api.workers.pool import Pool
-from skugga.api.workers.spawned import Spawned, WorkerTarget
 from skugga.api.workers.worker_main import worker_main
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.terrain.errors import Problem
@@ -101,9 +101,9 @@ def create_app(
     async def level_now(name: str) -> LevelKey:
         return (await served.current(name)).key
 
-    animations = Animations(settings, frames_drawn_by(pool, level_now), write_animation)
+    animations = Animations(settings, frame_renderer(pool, level_now), write_animation)
     metrics = ServiceMetrics(pool, tiles, animations)
-    service = Service(settings, served, of_tiles, pool, tiles, NewSuns(settings.new_suns_per_minute), animations, metrics)
+    service = Service(settings, served, of_tiles, pool, tiles, RateLimiter(settings.new_suns_per_minute), animations, metrics)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -119,7 +119,7 @@ def create_app(
         lifespan=lifespan, docs_url=None, redoc_url=None,
     )  # fmt: skip
     app.state.service = service
-    app.add_middleware(SentBefore, service=service)
+    app.add_middleware(TileCacheMiddleware, service=service)
     app.add_middleware(HeadAsGet)
     app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
     if settings.api_token is not None:
@@ -130,9 +130,9 @@ def create_app(
         CrossOrigin, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST", "DELETE"],
         allow_headers=["*"], expose_headers=list(EXPOSED_HEADERS),
     )  # fmt: skip
-    app.add_middleware(Watched, metrics=metrics, access_log=settings.access_log)
+    app.add_middleware(RequestMiddleware, metrics=metrics, access_log=settings.access_log)
     install_problem_handlers(app)
-    app.add_exception_handler(ClientGoneError, _nobody_reads)
+    app.add_exception_handler(ClientGoneError, _client_gone)
     for routes in (
         routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
         routes_snapshot, routes_animations, routes_archives, routes_health,
@@ -200,5 +200,5 @@ class BoundedBody:
         await self.app(scope, receive_some, send)
 
 
-async def _nobody_reads(request: Request, error: Exception) -> Response:
+async def _client_gone(request: Request, error: Exception) -> Response:
     return Response(status_code=CLIENT_GONE)

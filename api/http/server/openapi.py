@@ -8,7 +8,7 @@ from urllib.parse import quote, urlencode
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from skugga.api.http.documented import ANYWHERE, EXAMPLE_QUERY, problem_docs, with_bounds
+from skugga.api.http.openapi_parts import COMMON_ERRORS, EXAMPLE_QUERY, problem_docs, with_bounds
 from skugga.api.http.problems import Problem
 from skugga.api.http.server.bearer_token import OPEN_PATHS
 from skugga.api.http.state.archive_file import ArchiveFile
@@ -33,7 +33,7 @@ def install_openapi(app: FastAPI, service: Service) -> None:
 
 
 def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
-    token, places = service.settings.api_token is not None, places_of(service.levels.known())
+    has_token, places = service.settings.api_token is not None, level_examples(service.levels.known())
     document = with_bounds(document)
     schemas = document["components"]["schemas"]
     schemas[Problem.__name__] = Problem.model_json_schema(mode="serialization")
@@ -42,15 +42,15 @@ def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
         schemas.pop(unused, None)
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
-            closed = token and path not in OPEN_PATHS
-            answers = problem_docs(*ANYWHERE, *([401] if closed else [])) | _with_whole_statuses(operation["responses"])
+            needs_token = has_token and path not in OPEN_PATHS
+            answers = problem_docs(*COMMON_ERRORS, *([401] if needs_token else [])) | _with_whole_statuses(operation["responses"])
             operation["responses"] = {str(status): answers[status] for status in sorted(answers)}
-            if closed:
+            if needs_token:
                 operation["security"] = [{"token": []}]
-            _give_examples(operation, places_in(service.archives.known()) if path.startswith("/archives") else places)
+            _give_examples(operation, archive_examples(service.archives.known()) if path.startswith("/archives") else places)
             query = operation.pop(EXAMPLE_QUERY, {})
             operation["description"] += f"\n\nFor example: `{method.upper()} {example_address(path, operation, query)}`"
-    if token:
+    if has_token:
         document["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
     return document
 
@@ -69,7 +69,7 @@ def _with_whole_statuses(answers: dict[str, Any]) -> dict[int | str, Any]:
     return {int(status): answer for status, answer in answers.items() if "HTTPValidationError" not in str(answer)}
 
 
-def places_of(levels: list[ServedLevel]) -> dict[str, Any]:
+def level_examples(levels: list[ServedLevel]) -> dict[str, Any]:
     """Return examples of location parameters by name, for the first level with tiles, else for the first level."""
     on_earth = [level for level in levels if level.bounds is not None and DEFAULT_MATRIX_SET in level.zooms]
     if not on_earth:
@@ -89,7 +89,7 @@ def places_of(levels: list[ServedLevel]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def places_in(archives: dict[str, ArchiveFile]) -> dict[str, Any]:
+def archive_examples(archives: dict[str, ArchiveFile]) -> dict[str, Any]:
     """Return examples of location parameters by name, for an existing tile of the first archive."""
     for name, archive in archives.items():
         zoom, x, y = archive.first_tile

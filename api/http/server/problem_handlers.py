@@ -8,7 +8,7 @@ from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 
-from skugga.api.http.answers import wants_page
+from skugga.api.http.answers import wants_html
 from skugga.api.http.problems import domain_problem, problem_of, problem_response
 from skugga.api.http.server.not_found import not_found_page
 from skugga.terrain.errors import InputError, Problem, SkuggaError, printable
@@ -24,7 +24,7 @@ def install_problem_handlers(app: FastAPI) -> None:
 
     async def validation(request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError)
-        return domain_problem(request, _first_wrong(error))
+        return domain_problem(request, _first_error(error))
 
     async def http(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
@@ -37,7 +37,7 @@ def install_problem_handlers(app: FastAPI) -> None:
             405: f"{request.method[:20]} is not allowed here. Allowed: {headers.get('Allow')}.",
         }
         detail = said.get(error.status_code, str(error.detail))
-        if error.status_code == 404 and wants_page(request):
+        if error.status_code == 404 and wants_html(request):
             return not_found_page(request, detail)
         parameter = "body" if error.status_code in (400, 413) else None
         return problem_response(problem_of(error.status_code, detail, parameter=parameter), headers)
@@ -56,15 +56,13 @@ def _methods_at(request: Request) -> list[str]:
 
     def has(method: str) -> bool:
         scope = {**request.scope, "method": method}
-        routes = [
-            route for route in request.app.routes if method == "GET" or not isinstance(route, Mount)
-        ]  # mounts: files
+        routes = [route for route in request.app.routes if method == "GET" or not isinstance(route, Mount)]  # mounts: files
         return any(route.matches(scope)[0] is Match.FULL for route in routes)
 
     return [*(["GET", "HEAD"] if has("GET") else []), *(method for method in ("POST", "DELETE") if has(method))]
 
 
-def _first_wrong(error: RequestValidationError) -> InputError:
+def _first_error(error: RequestValidationError) -> InputError:
     """Convert the first validation error. It names a parameter, or the path of a part of the body."""
     detail = error.errors()[0]
     where, *path = detail["loc"]

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
 from skugga.api.errors import NotReadyError, UnhealthyError
-from skugga.api.http.documented import problem_docs
+from skugga.api.http.openapi_parts import problem_docs
 from skugga.api.http.parameters import allow_only
 from skugga.api.http.state.metrics import MEDIA_TYPE_OF_METRICS
 from skugga.api.http.state.service import TheService

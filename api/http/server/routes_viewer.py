@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse, HTMLResponse, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.staticfiles import StaticFiles
 
-from skugga.api.http.server.watching import page_policy
+from skugga.api.http.server.request_middleware import page_policy
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET
 from skugga.api.http.state.service import TheService
 

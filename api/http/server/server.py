@@ -18,30 +18,30 @@ import uvicorn
 
 from skugga.api.http.server.app import create_app
 from skugga.api.http.server.bounded_headers import BoundedHeaders
-from skugga.api.http.server.listening import BoundedListener
-from skugga.api.http.server.watching import LogLine
+from skugga.api.http.server.bounded_listener import BoundedListener
+from skugga.api.http.server.request_middleware import LogLine
 from skugga.api.http.state.service import Service
 from skugga.api.settings import Settings
+from skugga.api.workers.piped_process import Spawned
 from skugga.api.workers.process_life import open_descriptors
-from skugga.api.workers.spawned import Spawned
 from skugga.terrain.level.level_source import LevelSource
 
-LAST_ANSWERS_S = 3
+SHUTDOWN_GRACE_S = 3
 """Time that a stopping server gives clients to read their answers."""
 
-DESCRIPTORS_A_WORKER = 10
+DESCRIPTORS_PER_WORKER = 10
 """File descriptors reserved for each render process: its pipe, its sentinel and its start."""
 
-DESCRIPTORS_A_FILM = 4
+DESCRIPTORS_PER_FILM = 4
 """File descriptors reserved for each film in progress; a finished film has one."""
 
-DESCRIPTORS_LEFT = 16
+RESERVED_DESCRIPTORS = 16
 """File descriptors reserved for files of levels and the viewer, and for logs."""
 
-FOLDER_AGAIN_S = 5.0
+FOLDER_RETRY_S = 5.0
 """Delay of the next attempt to read the folder of levels, if no thread can be started."""
 
-LEAST_CONNECTIONS = 8
+MIN_CONNECTIONS = 8
 BACKLOG = 2048
 
 
@@ -80,7 +80,7 @@ class Server(uvicorn.Server):
         if self.lifespan.should_exit:
             sys.exit(1)
         try:
-            listening = list(sockets or _listening(config.host, config.port))
+            listening = list(sockets or _listening_sockets(config.host, config.port))
         except OSError as error:
             log.error("cannot listen on %s, port %d: %s", config.host, config.port, error.strerror)
             await self.lifespan.shutdown()
@@ -96,7 +96,7 @@ class Server(uvicorn.Server):
             BoundedListener(each, make_protocol, self.server_state.connections, limit, settings.client_timeout_s)  # type: ignore[misc]
             for each in listening
         ]
-        self._take_signals()
+        self._install_signal_handlers()
         self.started = True
         served = [level.name for level in self._service.levels.known()]
         served += [f"archive {name}" for name in self._service.archives.names()]
@@ -110,16 +110,16 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
         log.info("Skugga has stopped")
 
-    def _take_signals(self) -> None:
+    def _install_signal_handlers(self) -> None:
         with suppress(RuntimeError, ValueError, NotImplementedError):  # only the main thread handles signals
             loop = asyncio.get_running_loop()
             loop.add_signal_handler(signal.SIGHUP, self._reload)
-            loop.add_signal_handler(signal.SIGUSR1, self._say_how_it_is)
+            loop.add_signal_handler(signal.SIGUSR1, self._log_status)
 
     def _reload(self) -> None:
         log.info("SIGHUP: checking the files of all levels and archives")
-        self._service.levels.look_again()
-        self._service.archives.look_again()
+        self._service.levels.expire_all()
+        self._service.archives.expire_all()
         self._read_folder()
 
     def _read_folder(self) -> None:
@@ -127,10 +127,10 @@ class Server(uvicorn.Server):
         try:
             threading.Thread(target=self._service.levels.read_folder_again, name="read the folder of levels", daemon=True).start()
         except (RuntimeError, MemoryError) as error:
-            log.error("the folder of levels cannot be read: %s; retrying in %g s", error, FOLDER_AGAIN_S)
-            asyncio.get_running_loop().call_later(FOLDER_AGAIN_S, self._read_folder)
+            log.error("the folder of levels cannot be read: %s; retrying in %g s", error, FOLDER_RETRY_S)
+            asyncio.get_running_loop().call_later(FOLDER_RETRY_S, self._read_folder)
 
-    def _say_how_it_is(self) -> None:
+    def _log_status(self) -> None:
         pool = self._service.pool
         log.info(
             "SIGUSR1: %d connections, %d requests, %d jobs queued, %d jobs running, %d animations pending, render processes %s",
@@ -144,11 +144,11 @@ def connection_limit(settings: Settings) -> int:
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY:
         return settings.max_connections
-    films = settings.animations_kept + DESCRIPTORS_A_FILM * settings.animations_at_a_time
-    left = soft - open_descriptors() - DESCRIPTORS_A_WORKER * settings.workers - films - DESCRIPTORS_LEFT
+    films = settings.animations_kept + DESCRIPTORS_PER_FILM * settings.animations_at_a_time
+    left = soft - open_descriptors() - DESCRIPTORS_PER_WORKER * settings.workers - films - RESERVED_DESCRIPTORS
     if left < settings.max_connections:
-        log.warning("at most %d connections at a time: the limit of open files is %d", max(left, LEAST_CONNECTIONS), soft)
-    return min(settings.max_connections, max(left, LEAST_CONNECTIONS))
+        log.warning("at most %d connections at a time: the limit of open files is %d", max(left, MIN_CONNECTIONS), soft)
+    return min(settings.max_connections, max(left, MIN_CONNECTIONS))
 
 
 def serve(
@@ -161,13 +161,13 @@ def serve(
     app = create_app(settings, levels, archives=archives, spawned=spawned)
     config = uvicorn.Config(
         app, host=settings.host, port=settings.port, access_log=False, log_config=log_config(settings), http=BoundedHeaders,
-        ws="none", server_header=False, timeout_graceful_shutdown=LAST_ANSWERS_S,
+        ws="none", server_header=False, timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
     )  # fmt: skip
     with suppress(KeyboardInterrupt):
         Server(config, app.state.service).run()
 
 
-def _listening(host: str, port: int) -> list[socket.socket]:
+def _listening_sockets(host: str, port: int) -> list[socket.socket]:
     """Return listening sockets for all addresses of a host name."""
     found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     addresses = dict.fromkeys((family, address) for family, _, _, _, address in found)

@@ -29,15 +29,15 @@ from skugga.terrain.errors import Problem
 DIRECTORY_DEPTH = 3
 """Maximum number of nested directories, including the root."""
 
-MOST_UNPACKED = 64 * MIB
+MAX_DECOMPRESSED_BYTES = 64 * MIB
 """Maximum bytes of a decompressed directory or metadata document. A leaf of 4096 entries has some 40 KB."""
 
-CHECKED_LEAVES = 64 * MIB
+CHECKED_LEAF_BYTES = 64 * MIB
 """Compressed bytes of leaf directories that are validated when an archive is opened (a second or two).
 
 Further leaves are validated when they are first used."""
 
-WHOLE = "Give a whole PMTiles archive of version 3 with tiles as pictures"
+ARCHIVE_REMEDY = "Give a whole PMTiles archive of version 3 with tiles as pictures"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class ArchiveFile:
             (self.stamp,) = file_stamps([path])  # before reading: the next check then sees changes made meanwhile
             self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         except OSError as error:
-            raise self._broken(error.strerror or str(error)) from None
+            raise self._error(error.strerror or str(error)) from None
         weakref.finalize(self, os.close, self._file)
         self.header = self._header()
         self.metadata = self._metadata()
@@ -107,7 +107,7 @@ class ArchiveFile:
         return west, south, east, north
 
     @property
-    def of_skugga(self) -> dict[str, Any]:
+    def skugga_metadata(self) -> dict[str, Any]:
         """This package's own part of the metadata; empty if another program made the archive."""
         said = self.metadata.get("skugga")
         return said if isinstance(said, dict) else {}
@@ -127,7 +127,7 @@ class ArchiveFile:
                 inside = tile_id < int(directory.ids[row]) + run
                 return self._read(self.header["tile_data_offset"] + offset, length) if inside else None
             directory = self._leaf(offset, length)
-        raise self._broken(f"directories nested more than {DIRECTORY_DEPTH} deep")
+        raise self._error(f"directories nested more than {DIRECTORY_DEPTH} deep")
 
     def _first_tile(self) -> tuple[int, int, int]:
         """Return zoom, column and row of the archive's first tile."""
@@ -136,28 +136,28 @@ class ArchiveFile:
             if directory.runs[0]:
                 return tileid_to_zxy(int(directory.ids[0]))
             directory = self._leaf(int(directory.offsets[0]), int(directory.lengths[0]))
-        raise self._broken(f"directories nested more than {DIRECTORY_DEPTH} deep")
+        raise self._error(f"directories nested more than {DIRECTORY_DEPTH} deep")
 
     def _header(self) -> HeaderDict:
         raw = os.pread(self._file, HEADER_BYTES, 0)
         if raw[:7] != b"PMTiles":
-            raise self._broken("not a PMTiles archive" if raw[:2] != b"PM" else "a PMTiles archive of an earlier version")
+            raise self._error("not a PMTiles archive" if raw[:2] != b"PM" else "a PMTiles archive of an earlier version")
         if raw[7:8] not in (b"", b"\x03"):
-            raise self._broken(f"a PMTiles archive of version {raw[7]}")
+            raise self._error(f"a PMTiles archive of version {raw[7]}")
         if len(raw) < HEADER_BYTES:
-            raise self._broken("cut short: it ends in its header")
+            raise self._error("cut short: it ends in its header")
         try:
             header = deserialize_header(raw)
         except ValueError as error:
-            raise self._broken(f"its header is wrong: {error}") from None
+            raise self._error(f"its header is wrong: {error}") from None
         if header["tile_type"] not in TILE_FORMATS:
             kind = "vector tiles" if header["tile_type"] in (TileType.MVT, TileType.MLT) else "tiles of an unknown kind"
-            raise self._broken(f"it has {kind}, which are not served")
+            raise self._error(f"it has {kind}, which are not served")
         for part in ("internal", "tile"):
             plain = Compression.UNKNOWN if part == "tile" else Compression.GZIP
             used = header["tile_compression"] if part == "tile" else header["internal_compression"]
             if used not in (Compression.NONE, plain):
-                raise self._broken(f"its {'tiles' if part == 'tile' else 'directories'} are compressed by {used.name.lower()}")
+                raise self._error(f"its {'tiles' if part == 'tile' else 'directories'} are compressed by {used.name.lower()}")
         size = os.fstat(self._file).st_size
         ends = {
             "root directory": header["root_offset"] + header["root_length"],
@@ -167,19 +167,19 @@ class ArchiveFile:
         }
         part, end = max(ends.items(), key=lambda item: item[1])
         if end > size:
-            raise self._broken(f"cut short: its {part} end at byte {end}, but the file has {size} bytes")
+            raise self._error(f"cut short: its {part} end at byte {end}, but the file has {size} bytes")
         if not header["min_zoom"] <= header["max_zoom"] <= 31:
-            raise self._broken(f"its header is wrong: zooms from {header['min_zoom']} to {header['max_zoom']}")
+            raise self._error(f"its header is wrong: zooms from {header['min_zoom']} to {header['max_zoom']}")
         return header
 
     def _metadata(self) -> dict[str, Any]:
-        raw = self._unpacked(self.header["metadata_offset"], self.header["metadata_length"], "metadata")
+        raw = self._decompress(self.header["metadata_offset"], self.header["metadata_length"], "metadata")
         try:
             metadata = json.loads(raw) if raw else {}
         except ValueError:
-            raise self._broken("its metadata are not JSON") from None
+            raise self._error("its metadata are not JSON") from None
         if not isinstance(metadata, dict):
-            raise self._broken("its metadata are not a JSON object")
+            raise self._error("its metadata are not a JSON object")
         return metadata
 
     def _version(self) -> str:
@@ -188,7 +188,7 @@ class ArchiveFile:
 
     def _checked_root(self) -> _Directory:
         root = self._directory(self.header["root_offset"], self.header["root_length"])
-        left = CHECKED_LEAVES
+        left = CHECKED_LEAF_BYTES
         for length, offset in _leaves(root):
             left -= length
             if left < 0:
@@ -198,68 +198,68 @@ class ArchiveFile:
 
     def _leaf(self, offset: int, length: int) -> _Directory:
         """Return a leaf directory from the cache or from the file."""
-        found = _directories.get(self, offset)
-        if isinstance(found, Missing):
+        directory = _directories.get(self, offset)
+        if isinstance(directory, Missing):
             if offset + length > self.header["leaf_directory_length"]:
-                raise self._broken("broken directories: a leaf reaches past the end of the leaf directories")
-            found = self._directory(self.header["leaf_directory_offset"] + offset, length)
-            _directories.put(self, offset, value=found)
-        return found
+                raise self._error("broken directories: a leaf reaches past the end of the leaf directories")
+            directory = self._directory(self.header["leaf_directory_offset"] + offset, length)
+            _directories.put(self, offset, value=directory)
+        return directory
 
     def _directory(self, offset: int, length: int) -> _Directory:
-        numbers = _varints(self._unpacked(offset, length, "directories"))
+        numbers = _varints(self._decompress(offset, length, "directories"))
         count = int(numbers[0]) if numbers is not None and len(numbers) else 0
         if numbers is None or count == 0 or len(numbers) != 1 + 4 * count:
-            raise self._broken("broken directories: one is cut short or empty")
+            raise self._error("broken directories: one is cut short or empty")
         deltas, runs, lengths, codes = numbers[1:].reshape(4, count)
         ids = np.cumsum(deltas, dtype=np.uint64)
         # A code of 0 means: directly after the previous entry. Such offsets are the last explicit offset plus the lengths since.
-        stated = codes > 0
-        if not stated[0]:
-            raise self._broken("broken directories: the first entry has no offset")
-        before = np.concatenate([[0], np.cumsum(lengths[:-1], dtype=np.uint64)]).astype(np.uint64)
-        last = np.maximum.accumulate(np.where(stated, np.arange(count), 0))
-        offsets = codes[last] - np.uint64(1) + before - before[last]
-        of_tiles = runs > 0
+        is_explicit = codes > 0
+        if not is_explicit[0]:
+            raise self._error("broken directories: the first entry has no offset")
+        lengths_before = np.concatenate([[0], np.cumsum(lengths[:-1], dtype=np.uint64)]).astype(np.uint64)
+        last_explicit = np.maximum.accumulate(np.where(is_explicit, np.arange(count), 0))
+        offsets = codes[last_explicit] - np.uint64(1) + lengths_before - lengths_before[last_explicit]
+        is_tile = runs > 0
         ends = offsets + lengths
         if not (
             (deltas[1:] > 0).all()
             and (ids[1:] >= ids[:-1] + runs[:-1]).all()
             and lengths.all()
             and (ends >= lengths).all()
-            and (ends[of_tiles] <= self.header["tile_data_length"]).all()
-            and (ends[~of_tiles] <= self.header["leaf_directory_length"]).all()
+            and (ends[is_tile] <= self.header["tile_data_length"]).all()
+            and (ends[~is_tile] <= self.header["leaf_directory_length"]).all()
         ):
-            raise self._broken("broken directories: entries overlap, or reach past the end")
+            raise self._error("broken directories: entries overlap, or reach past the end")
         return _Directory(ids, runs, lengths, offsets)
 
-    def _unpacked(self, offset: int, length: int, part: str) -> bytes:
+    def _decompress(self, offset: int, length: int, part: str) -> bytes:
         raw = self._read(offset, length)
         if self.header["internal_compression"] is Compression.NONE or not raw:
             return raw
         unpacking = zlib.decompressobj(wbits=31)
         try:
-            plain = unpacking.decompress(raw, MOST_UNPACKED)
+            plain = unpacking.decompress(raw, MAX_DECOMPRESSED_BYTES)
         except zlib.error:
-            raise self._broken(f"broken {part}: not gzip") from None
+            raise self._error(f"broken {part}: not gzip") from None
         if not unpacking.eof:
-            raise self._broken(f"broken {part}: gzip that is cut short or larger than {MOST_UNPACKED // MIB} MiB")
+            raise self._error(f"broken {part}: gzip that is cut short or larger than {MAX_DECOMPRESSED_BYTES // MIB} MiB")
         return plain
 
     def _read(self, offset: int, length: int) -> bytes:
         try:
             raw = os.pread(self._file, length, offset)
         except (OSError, OverflowError) as error:
-            raise self._broken(f"cannot be read: {error}") from None
+            raise self._error(f"cannot be read: {error}") from None
         if len(raw) < length:
-            raise self._broken("cut short since it was opened")
+            raise self._error("cut short since it was opened")
         return raw
 
-    def _broken(self, fault: str) -> ArchiveError:
-        return ArchiveError(str(self.path), Problem(fault), WHOLE)
+    def _error(self, fault: str) -> ArchiveError:
+        return ArchiveError(str(self.path), Problem(fault), ARCHIVE_REMEDY)
 
 
-def changed(archive: ArchiveFile | None, path: Path) -> bool:
+def has_changed(archive: ArchiveFile | None, path: Path) -> bool:
     """Return whether a file has changed since it was opened as ``archive``; true for ``None``. Reads the file's status."""
     now: Stamp = file_stamps([path])[0]
     return archive is None or archive.stamp != now

@@ -10,10 +10,10 @@ from starlette.responses import Response
 from starlette.types import Scope
 
 from skugga.api.http.answers import is_fresh
-from skugga.api.http.moments import TIME_HEADER, is_of_now
+from skugga.api.http.request_times import TIME_HEADER, is_current
 from skugga.terrain.cache import MIB, Cache, Missing
 
-DrawnBy = tuple[str | None, ...]
+TileVersions = tuple[str | None, ...]
 """Versions of everything that the tiles of a level depend on besides their addresses."""
 
 OVERHEAD_BYTES = 1024
@@ -47,7 +47,7 @@ class EncodedTile:
 
 
 @dataclass(frozen=True)
-class _Sent:
+class _AddressEntry:
     """The tile that was sent for an address.
 
     Attributes
@@ -56,13 +56,13 @@ class _Sent:
         Entity tag of the tile.
     level : str
         Name of its level.
-    drawn : tuple of str or None
+    versions : tuple of str or None
         Versions that the tile depends on.
     """
 
     tag: str
     level: str
-    drawn: DrawnBy
+    versions: TileVersions
 
 
 Address = tuple[str, bytes]
@@ -73,44 +73,46 @@ class EncodedTiles:
     """A cache of tiles by entity tag, with a limit in bytes. It is for one event loop and is not thread-safe."""
 
     def __init__(self, limit_bytes: int) -> None:
-        self._kept: Cache[EncodedTile] = Cache(
+        self._by_tag: Cache[EncodedTile] = Cache(
             "skugga.api.http.state.encoded_tiles", "process", limit_bytes, lambda tile: len(tile.body) + OVERHEAD_BYTES
         )
-        self._sent: Cache[_Sent] = Cache("skugga.api.http.tile_addresses", "process", 16 * MIB, lambda _: OVERHEAD_BYTES)
+        self._by_address: Cache[_AddressEntry] = Cache(
+            "skugga.api.http.tile_addresses", "process", 16 * MIB, lambda _: OVERHEAD_BYTES
+        )
         self.hits, self.misses = 0, 0
 
     @property
-    def kept_bytes(self) -> int:
+    def cached_bytes(self) -> int:
         """Bytes of the cached tiles."""
-        return self._kept.nbytes
+        return self._by_tag.nbytes
 
     def get(self, tag: str) -> EncodedTile | None:
         """Return a cached tile or ``None``, and count the hit or miss."""
-        tile = self._found(tag)
+        tile = self._lookup(tag)
         self.hits, self.misses = self.hits + (tile is not None), self.misses + (tile is None)
         return tile
 
-    def _found(self, tag: str) -> EncodedTile | None:
-        tile = self._kept.get(tag)
+    def _lookup(self, tag: str) -> EncodedTile | None:
+        tile = self._by_tag.get(tag)
         return None if isinstance(tile, Missing) else tile
 
-    def put(self, request: Request, tile: EncodedTile, level: str, drawn: DrawnBy) -> None:
-        """Cache a tile and the address of its request. ``drawn`` has the versions that the tile depends on.
+    def put(self, request: Request, tile: EncodedTile, level: str, versions: TileVersions) -> None:
+        """Cache a tile and the address of its request. ``versions`` has the versions that the tile depends on.
 
         The address of a request for ``current`` is not cached: soon it means another tile.
         """
         tag = tile.headers["ETag"]
-        self._kept.put(tag, value=tile)
-        if is_of_now(request):
+        self._by_tag.put(tag, value=tile)
+        if is_current(request):
             return
-        self._sent.put(_address(request.scope), value=_Sent(tag, level, drawn))
+        self._by_address.put(_address(request.scope), value=_AddressEntry(tag, level, versions))
 
-    def sent_before(self, scope: Scope, drawn_by: Callable[[str], DrawnBy]) -> EncodedTile | None:
-        """Return the cached tile of an address if the versions of its level (``drawn_by``) are unchanged, else ``None``."""
-        sent = self._sent.get(_address(scope))
-        if isinstance(sent, Missing) or sent.drawn != drawn_by(sent.level):
+    def cached_tile(self, scope: Scope, tile_versions: Callable[[str], TileVersions]) -> EncodedTile | None:
+        """Return the cached tile of an address if the versions of its level (``tile_versions``) are unchanged, else ``None``."""
+        sent = self._by_address.get(_address(scope))
+        if isinstance(sent, Missing) or sent.versions != tile_versions(sent.level):
             return None
-        tile = self._found(sent.tag)
+        tile = self._lookup(sent.tag)
         self.hits += tile is not None  # a miss is counted later, by ``get``
         return tile
 

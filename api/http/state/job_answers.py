@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from fastapi import Request, Response
 
-from skugga.api.http.answers import cache_headers, drawn_headers, is_fresh, tag_of
-from skugga.api.http.moments import fresh_for, time_headers
+from skugga.api.http.answers import cache_headers, entity_tag, is_fresh, render_headers
+from skugga.api.http.request_times import fresh_for, time_headers
 from skugga.api.http.state.service import Service
 from skugga.api.workers.jobs import MapJob, PointAnswer, PointJob, Snapshot, SnapshotJob
 
@@ -43,14 +43,14 @@ async def job_answer(
     by = (service.pool.renderer, service.pool.plan_version(job.level)) if is_picture else ()
     seconds = service.fresh_s(request, fresh_s) if is_picture else fresh_for(request, fresh_s)
     of_time = time_headers(request) if isinstance(job, PointJob) or job.request.record.when == "sun" else {}
-    headers = cache_headers(tag_of(*by, *parts), seconds) | of_time
+    headers = cache_headers(entity_tag(*by, *parts), seconds) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     kept = service.pool.finished(job) is not None
     done = await service.done(request, job)
     if isinstance(done, Snapshot):
-        headers = cache_headers(tag_of(done.renderer, done.plan_version, *parts), seconds) | of_time
-        headers |= drawn_headers(done, subject, kept, done.encode_ms)
+        headers = cache_headers(entity_tag(done.renderer, done.plan_version, *parts), seconds) | of_time
+        headers |= render_headers(done, subject, kept, done.encode_ms)
     else:
         assert isinstance(done, PointAnswer)
     return Response(written(done.body), headers=headers, media_type=media_type)

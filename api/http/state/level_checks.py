@@ -15,29 +15,29 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from skugga.api.errors import ExhaustedError
-from skugga.api.exhaustion import exhausted_error
+from skugga.api.resource_exhaustion import exhausted_error
 from skugga.terrain.errors import SkuggaError
 
-LookedAt = TypeVar("LookedAt")
+Value = TypeVar("Value")
 
 LOOK_AGAIN_S = 30.0
 """Time after which a check that still runs is abandoned and another check starts."""
 
-MOST_LOST = 4
+MAX_ABANDONED = 4
 """Maximum number of abandoned checks of one level: each occupies a thread."""
 
 log = logging.getLogger("skugga")
 
 
 @dataclass
-class _Look(Generic[LookedAt]):
+class _Check(Generic[Value]):
     began_s: float
-    future: Future[LookedAt]
-    told: bool = False
+    future: Future[Value]
+    is_logged: bool = False
 
 
 @dataclass
-class LevelCheck(Generic[LookedAt]):
+class LevelCheck(Generic[Value]):
     """A value that a check of files keeps up to date.
 
     Attributes
@@ -46,7 +46,7 @@ class LevelCheck(Generic[LookedAt]):
         Name of the level or archive, for logs.
     value : LookedAt
         The last value without an error.
-    look : callable
+    check : callable
         The check: returns the value as it is now, or raises ``SkuggaError``.
     fresh_s : float
         Seconds for which a result is used without another check.
@@ -59,84 +59,84 @@ class LevelCheck(Generic[LookedAt]):
     """
 
     name: str
-    value: LookedAt
-    look: Callable[[], LookedAt]
+    value: Value
+    check: Callable[[], Value]
     fresh_s: float
     wait_s: float
     what: str = "level"
     error: SkuggaError | None = None
     _is_exhausted: bool = False
-    _looked_s: float = float("-inf")
-    _looking: _Look[LookedAt] | None = None
-    _lost: list[_Look[LookedAt]] = field(default_factory=list)
+    _checked_s: float = float("-inf")
+    _running: _Check[Value] | None = None
+    _abandoned: list[_Check[Value]] = field(default_factory=list)
 
-    def known(self) -> LookedAt | None:
+    def known(self) -> Value | None:
         """Return the value if it is fresh or its check hangs; ``None`` if a check is due or the last one failed."""
         return self.value if self.error is None and (self._is_fresh() or self._hangs()) else None
 
     def expire(self) -> None:
         """Make the value stale: its next use runs a check."""
-        self._looked_s = float("-inf")
+        self._checked_s = float("-inf")
 
-    def now(self) -> LookedAt:
+    def now(self) -> Value:
         """Run the check in this thread and return the value. Raises the check's error."""
-        return self._note(self._outcome(self.look))
+        return self._store(self._run_check(self.check))
 
-    async def current(self) -> LookedAt:
+    async def current(self) -> Value:
         """Return the value as it is now, or the last value if the check takes too long. Raises the check's error."""
         if not self._is_fresh():
-            looking = self._look_now()
-            if looking is not None:
-                await self._wait(looking)
+            running = self._start_check()
+            if running is not None:
+                await self._wait(running)
         if self.error is not None:
             raise self.error
         return self.value
 
-    async def _wait(self, looking: _Look[LookedAt]) -> None:
-        left_s = looking.began_s + self.wait_s - time.monotonic()
+    async def _wait(self, running: _Check[Value]) -> None:
+        left_s = running.began_s + self.wait_s - time.monotonic()
         if left_s > 0.0:
-            await asyncio.wait({asyncio.wrap_future(looking.future)}, timeout=left_s)
-        if not looking.future.done() and not looking.told:
-            looking.told = True
+            await asyncio.wait({asyncio.wrap_future(running.future)}, timeout=left_s)
+        if not running.future.done() and not running.is_logged:
+            running.is_logged = True
             log.error("%s %s: its files were not read within %g s. The last version is served.", self.what, self.name, self.wait_s)
 
-    def _look_now(self) -> _Look[LookedAt] | None:
+    def _start_check(self) -> _Check[Value] | None:
         """Return the running check or a new one; ``None`` if no thread can be started."""
         now_s = time.monotonic()
-        looking = self._looking
-        if looking is not None and not looking.future.done():
-            self._lost = [lost for lost in self._lost if not lost.future.done()]
-            if now_s - looking.began_s < LOOK_AGAIN_S or len(self._lost) >= MOST_LOST:
-                return looking
-        begun: _Look[LookedAt] = _Look(now_s, Future())
-        self._looking = begun
+        running = self._running
+        if running is not None and not running.future.done():
+            self._abandoned = [abandoned for abandoned in self._abandoned if not abandoned.future.done()]
+            if now_s - running.began_s < LOOK_AGAIN_S or len(self._abandoned) >= MAX_ABANDONED:
+                return running
+        started: _Check[Value] = _Check(now_s, Future())
+        self._running = started
 
         def run() -> None:
             try:
-                outcome = self._outcome(self.look)
-                if self._looking is begun:  # not superseded by a later check
-                    self._note(outcome)
+                outcome = self._run_check(self.check)
+                if self._running is started:  # not superseded by a later check
+                    self._store(outcome)
             except SkuggaError:
                 pass
             finally:
-                begun.future.set_result(self.value)
+                started.future.set_result(self.value)
 
         try:
             threading.Thread(target=run, name=f"look at {self.name}", daemon=True).start()
         except (RuntimeError, MemoryError) as error:
-            self._looking = looking
-            self._tell_exhausted(error)
+            self._running = running
+            self._log_exhausted(error)
             return None
-        if looking is not None and not looking.future.done():
-            self._lost.append(looking)
-        return begun
+        if running is not None and not running.future.done():
+            self._abandoned.append(running)
+        return started
 
-    def _outcome(self, look: Callable[[], LookedAt]) -> LookedAt | SkuggaError:
+    def _run_check(self, check: Callable[[], Value]) -> Value | SkuggaError:
         try:
-            found = look()
+            found = check()
         except Exception as error:
             if (exhausted := exhausted_error(error)) is not None:  # a lack of resources, not a fault of the files
-                self._tell_exhausted(exhausted)
+                self._log_exhausted(exhausted)
                 return exhausted if self.error is None else self.error
             if isinstance(error, SkuggaError):
                 return error
@@ -146,15 +146,15 @@ class LevelCheck(Generic[LookedAt]):
         self._is_exhausted = False
         return found
 
-    def _tell_exhausted(self, error: Exception) -> None:
+    def _log_exhausted(self, error: Exception) -> None:
         if not self._is_exhausted:
             self._is_exhausted = True
             log.error("%s %s: its files cannot be checked: %s; the last version is served", self.what, self.name, error)
 
-    def _note(self, outcome: LookedAt | SkuggaError) -> LookedAt:
+    def _store(self, outcome: Value | SkuggaError) -> Value:
         if isinstance(outcome, ExhaustedError):
             return self.value
-        self._looked_s = time.monotonic()
+        self._checked_s = time.monotonic()
         if isinstance(outcome, SkuggaError):
             self.error = outcome
             raise outcome
@@ -162,8 +162,8 @@ class LevelCheck(Generic[LookedAt]):
         return outcome
 
     def _is_fresh(self) -> bool:
-        return time.monotonic() - self._looked_s < self.fresh_s
+        return time.monotonic() - self._checked_s < self.fresh_s
 
     def _hangs(self) -> bool:
-        looking = self._looking
-        return looking is not None and not looking.future.done() and time.monotonic() - looking.began_s > self.wait_s
+        running = self._running
+        return running is not None and not running.future.done() and time.monotonic() - running.began_s > self.wait_s

@@ -24,7 +24,7 @@ MEDIA_TYPE_OF_METRICS = "text/plain; version=0.0.4; charset=utf-8"
 REQUEST_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
 PASS_BUCKETS_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
-MOST_PASSES = 200
+MAX_PASSES = 200
 """Maximum number of label pairs of algorithm and pass, since requests can combine algorithms in many ways.
 
 Further pairs are counted as ``other``."""
@@ -35,7 +35,7 @@ class ServiceMetrics:
 
     def __init__(self, pool: Pool, tiles: EncodedTiles, animations: Animations) -> None:
         self.registry = CollectorRegistry()
-        self._passes_told: set[tuple[str, str]] = set()
+        self._known_passes: set[tuple[str, str]] = set()
         self.requests = Counter("skugga_requests", "Requests answered.", ("route", "method", "status"), registry=self.registry)
         self.request_seconds = Histogram(
             "skugga_request_seconds", "Time to the end of an answer.", ("route",), registry=self.registry, buckets=REQUEST_BUCKETS_S
@@ -50,16 +50,16 @@ class ServiceMetrics:
             "Drawn blocks and snapshots for which the data ended before the casters.",
             registry=self.registry,
         )
-        self.registry.register(_Seen(pool, tiles, animations))
+        self.registry.register(_ServiceCollector(pool, tiles, animations))
         pool.on_drawn = self.drawn
 
     def drawn(self, drawn: BlockTiles | Snapshot) -> None:
         """Record the passes of a rendered block or snapshot."""
         for name, ms in (*drawn.passes, ("encode", drawn.encode_ms)):
             pair = drawn.headline, name
-            if pair not in self._passes_told and len(self._passes_told) >= MOST_PASSES:
+            if pair not in self._known_passes and len(self._known_passes) >= MAX_PASSES:
                 pair = "other", "other"
-            self._passes_told.add(pair)
+            self._known_passes.add(pair)
             self.pass_seconds.labels(*pair).observe(ms / 1000.0)
         if drawn.reach_clipped:
             self.clipped.inc()
@@ -74,34 +74,34 @@ class ServiceMetrics:
         return found | {name for family in self.registry.collect() for name in _names_of(family)}
 
 
-class _Seen(Collector):
+class _ServiceCollector(Collector):
     """A collector of metrics that are read from the service at each scrape."""
 
     def __init__(self, pool: Pool, tiles: EncodedTiles, animations: Animations) -> None:
         self._pool, self._tiles, self._animations = pool, tiles, animations
 
     def collect(self) -> Iterable[Metric]:
-        pool, tally, tiles = self._pool, self._pool.tally, self._tiles
+        pool, counters, tiles = self._pool, self._pool.counters, self._tiles
         yield GaugeMetricFamily("skugga_ready", "Whether a render process is ready.", float(pool.ready))
         yield GaugeMetricFamily("skugga_jobs_waiting", "Jobs in the queue.", pool.queued)
         yield GaugeMetricFamily("skugga_jobs_running", "Jobs in render processes.", pool.running)
         jobs = CounterMetricFamily("skugga_jobs", "Jobs by how they ended.", labels=("outcome",))
         for outcome in ("answered", "failed", "abandoned", "refused", "expired", "timed_out", "retried"):
-            jobs.add_metric([outcome], getattr(tally, outcome))
+            jobs.add_metric([outcome], getattr(counters, outcome))
         yield jobs
         yield GaugeMetricFamily("skugga_render_processes", "Render processes that are ready.", len(pool.pids))
-        yield CounterMetricFamily("skugga_render_process_starts", "Render processes that became ready.", tally.started)
+        yield CounterMetricFamily("skugga_render_process_starts", "Render processes that became ready.", counters.started)
         memory = GaugeMetricFamily("skugga_process_memory_bytes", "Resident memory.", labels=("process",))
         memory.add_metric(["service"], resident_bytes())
         for number, pid in enumerate(sorted(pool.pids)):
             memory.add_metric([f"render {number}"], resident_bytes(pid))
         yield memory
         yield GaugeMetricFamily("skugga_open_descriptors", "File descriptors of the service's process.", open_descriptors())
-        kept = GaugeMetricFamily("skugga_cache_bytes", "Bytes of cached entries.", labels=("cache",))
-        kept.add_metric(["tiles"], tiles.kept_bytes)
-        kept.add_metric(["blocks"], pool.kept_bytes)
-        kept.add_metric(["films"], self._animations.kept_bytes)
-        yield kept
+        cache_bytes = GaugeMetricFamily("skugga_cache_bytes", "Bytes of cached entries.", labels=("cache",))
+        cache_bytes.add_metric(["tiles"], tiles.cached_bytes)
+        cache_bytes.add_metric(["blocks"], pool.cached_bytes)
+        cache_bytes.add_metric(["films"], self._animations.cached_bytes)
+        yield cache_bytes
         animations = GaugeMetricFamily("skugga_animations", "Animations by status.", labels=("status",))
         for status, count in self._animations.counts.items():
             animations.add_metric([status], count)
@@ -110,10 +110,10 @@ class _Seen(Collector):
         for status, count in self._animations.ended.items():
             ended.add_metric([status], count)
         yield ended
-        asked = CounterMetricFamily("skugga_cache_requests", "Lookups of tiles in the cache.", labels=("cache", "result"))
-        asked.add_metric(["tiles", "hit"], tiles.hits)
-        asked.add_metric(["tiles", "miss"], tiles.misses)
-        yield asked
+        lookups = CounterMetricFamily("skugga_cache_requests", "Lookups of tiles in the cache.", labels=("cache", "result"))
+        lookups.add_metric(["tiles", "hit"], tiles.hits)
+        lookups.add_metric(["tiles", "miss"], tiles.misses)
+        yield lookups
 
 
 def _names_of(family: Metric) -> Iterator[str]:

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
 from skugga.api.errors import ArchiveError, NotServedError
-from skugga.api.http.state.archive_file import ArchiveFile, changed
+from skugga.api.http.state.archive_file import ArchiveFile, has_changed
 from skugga.api.http.state.level_checks import LevelCheck
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.products import PRODUCTS
@@ -47,21 +47,21 @@ class LevelArchives:
         """Return the archives of a level; the first archive of a kind of tile takes precedence."""
         by_kind: dict[TileKind, ArchiveFile] = {}
         for archive in files.values():
-            said = archive.of_skugga
-            layer, format, tms, query = (str(said.get(key, "")) for key in ("layer", "format", "tms", "query"))
+            metadata = archive.skugga_metadata
+            layer, format, tms, query = (str(metadata.get(key, "")) for key in ("layer", "format", "tms", "query"))
             if layer in PRODUCTS and PRODUCTS[layer].when == "none":
                 query = ""  # heights do not depend on light
             if format == archive.format:
-                by_kind.setdefault((layer, format, tms, in_utc(query)), archive)
+                by_kind.setdefault((layer, format, tms, with_utc_time(query)), archive)
         return cls(files, by_kind, " ".join(archive.version for archive in files.values()))
 
-    def answering(self, layer: str, format: str, tms: str, query: str, zoom: int) -> ArchiveFile | None:
+    def archive_of(self, layer: str, format: str, tms: str, query: str, zoom: int) -> ArchiveFile | None:
         """Return the archive with a kind of tile at a zoom, or ``None``. ``query`` is that of ``PictureRequest.query``."""
-        archive = self.by_kind.get((layer, format, tms, in_utc(query))) if self.by_kind else None
+        archive = self.by_kind.get((layer, format, tms, with_utc_time(query))) if self.by_kind else None
         return archive if archive is not None and zoom in archive.zooms else None
 
 
-def in_utc(query: str) -> str:
+def with_utc_time(query: str) -> str:
     """Return a canonical query with its ``time`` in UTC: each UTC offset spells the same instant differently."""
     if "time=" not in query:
         return query
@@ -89,13 +89,13 @@ class ServedArchives:
         self._fresh_s, self._wait_s = fresh_s, wait_s
         self._named: dict[str, LevelCheck[ArchiveFile]] = {}
         self._of_levels: dict[str, tuple[tuple[Path, ...], LevelCheck[LevelArchives]]] = {}
-        self._told: dict[Path, str] = {}
+        self._logged: dict[Path, str] = {}
         for path in paths:
             name = printable(path.stem)
             if name in self._named:
                 raise InputError("LEVEL", Problem(f"'{path}' and another file are both an archive '{name}'"), "Rename one of them")
             archive = ArchiveFile(path)
-            self._named[name] = LevelCheck(name, archive, partial(self._look, name), fresh_s, wait_s, "archive")
+            self._named[name] = LevelCheck(name, archive, partial(self._check_file, name), fresh_s, wait_s, "archive")
 
     def names(self) -> list[str]:
         """Return the names of the archives with their own addresses."""
@@ -127,7 +127,7 @@ class ServedArchives:
         if level.loaded.archives:
             self._check_of(level).value = LevelArchives.of({path: ArchiveFile(path) for path in level.loaded.archives})
 
-    def look_again(self) -> None:
+    def expire_all(self) -> None:
         """Check every archive at its next use."""
         for named in self._named.values():
             named.expire()
@@ -138,55 +138,55 @@ class ServedArchives:
         paths = level.loaded.archives
         found = self._of_levels.get(level.name)
         if found is None or found[0] != paths:
-            look = partial(self._look_of_level, level.name)
+            look = partial(self._check_level_archives, level.name)
             found = paths, LevelCheck(level.name, NO_ARCHIVES, look, self._fresh_s, self._wait_s, "archives of level")
             self._of_levels[level.name] = found
         return found[1]
 
-    def _look(self, name: str) -> ArchiveFile:
+    def _check_file(self, name: str) -> ArchiveFile:
         check = self._named[name]
         try:
-            return self._as_it_is(check.value if check.error is None else None, check.value.path)
+            return self._reopened(check.value if check.error is None else None, check.value.path)
         except ArchiveError as error:
-            self._tell(check.value.path, error)
+            self._log_error(check.value.path, error)
             raise
 
-    def _look_of_level(self, name: str) -> LevelArchives:
+    def _check_level_archives(self, name: str) -> LevelArchives:
         paths, check = self._of_levels[name]
         before, files = check.value.files, {}
         for path in paths:
             try:
-                files[path] = self._as_it_is(before.get(path), path)
+                files[path] = self._reopened(before.get(path), path)
             except ArchiveError as error:
-                self._tell(path, error, " Its tiles are rendered.")
+                self._log_error(path, error, " Its tiles are rendered.")
         return check.value if files == before else LevelArchives.of(files)
 
-    def _as_it_is(self, archive: ArchiveFile | None, path: Path) -> ArchiveFile:
-        if archive is not None and not changed(archive, path):
+    def _reopened(self, archive: ArchiveFile | None, path: Path) -> ArchiveFile:
+        if archive is not None and not has_changed(archive, path):
             return archive
         opened = ArchiveFile(path)
-        if archive is not None or path in self._told:
+        if archive is not None or path in self._logged:
             log.info("archive %s has changed and was reopened", path)
-        self._told.pop(path, None)
+        self._logged.pop(path, None)
         return opened
 
-    def _tell(self, path: Path, error: SkuggaError, then: str = "") -> None:
+    def _log_error(self, path: Path, error: SkuggaError, consequence: str = "") -> None:
         """Log the error of a file once."""
-        if self._told.get(path) != str(error):
-            self._told[path] = str(error)
-            log.error("archive %s%s", error, then)
+        if self._logged.get(path) != str(error):
+            self._logged[path] = str(error)
+            log.error("archive %s%s", error, consequence)
 
 
-def archive_facts(name: str, archive: ArchiveFile) -> dict[str, Any]:
+def archive_summary(name: str, archive: ArchiveFile) -> dict[str, Any]:
     """Return the facts of an archive for ``/archives``, from its metadata where present."""
-    said = archive.metadata
+    metadata = archive.metadata
     return {
         "name": name,
-        "title": str(said.get("name") or name),
-        "attribution": str(said.get("attribution") or ""),
+        "title": str(metadata.get("name") or name),
+        "attribution": str(metadata.get("attribution") or ""),
         "bounds": list(archive.bounds),
         "minzoom": archive.zooms[0],
         "maxzoom": archive.zooms[-1],
         "format": archive.format,
-        "layer": archive.of_skugga.get("layer"),
+        "layer": archive.skugga_metadata.get("layer"),
     }

@@ -261,7 +261,7 @@ class ServedLevels:
 
     def _checked(self, source: LevelSource, roots: Iterable[Path]) -> LevelCheck[ServedLevel]:
         level = self._read(source.model_copy(update={"roots": (*roots, *self._data_roots)}))
-        return LevelCheck(level.name, level, partial(self._look, level.name), self._fresh_s, self._wait_s)
+        return LevelCheck(level.name, level, partial(self._check_files, level.name), self._fresh_s, self._wait_s)
 
     async def current(self, name: str) -> ServedLevel:
         """Return a level as it is now, or its last version if reading takes too long. Files are read in another thread.
@@ -291,7 +291,7 @@ class ServedLevels:
         """Return the levels' names."""
         return list(self._checks)
 
-    def look_again(self) -> None:
+    def expire_all(self) -> None:
         """Check the files of every level at its next use."""
         for check in self._checks.values():
             check.expire()
@@ -312,7 +312,7 @@ class ServedLevels:
             raise NotServedError("level", f"level: {name[:60]!r} is not served. Levels: {', '.join(checks)}.")
         return checks[name]
 
-    def _look(self, name: str) -> ServedLevel:
+    def _check_files(self, name: str) -> ServedLevel:
         """Return a level; reload it if one of its files has changed or if the last check failed."""
         check = self._check(name)
         level = check.value

@@ -14,11 +14,11 @@ from skugga.api.animations.animations import Animations
 from skugga.api.animations.drawing import frame_job
 from skugga.api.animations.film_order import FilmOrder
 from skugga.api.errors import NotServedError
-from skugga.api.http.answers import FACTS_S, ExpectedTime
-from skugga.api.http.moments import fresh_for
+from skugga.api.http.answers import METADATA_FRESH_S, ExpectedTime
+from skugga.api.http.request_times import fresh_for
 from skugga.api.http.state.encoded_tiles import EncodedTiles
 from skugga.api.http.state.metrics import ServiceMetrics
-from skugga.api.http.state.new_suns import NewSuns, network_of
+from skugga.api.http.state.rate_limiter import RateLimiter, network_of
 from skugga.api.http.state.served_archives import ServedArchives
 from skugga.api.http.state.served_levels import ServedLevel, ServedLevels
 from skugga.api.settings import Settings
@@ -40,7 +40,7 @@ class Service:
     archives: ServedArchives
     pool: Pool
     tiles: EncodedTiles
-    new_suns: NewSuns
+    rate_limiter: RateLimiter
     animations: Animations
     metrics: ServiceMetrics
 
@@ -60,8 +60,8 @@ class Service:
         It is a minute at most while a calibration or probe is pending. The plan may change then, and clients must not combine
         pictures of different plans for long.
         """
-        soon_others = self.pool.calibrating.expected or self.pool.probing.waiting
-        return fresh_for(request, min(otherwise_s, FACTS_S) if soon_others else otherwise_s)
+        is_plan_pending = self.pool.calibrating.expected or self.pool.probing.waiting
+        return fresh_for(request, min(otherwise_s, METADATA_FRESH_S) if is_plan_pending else otherwise_s)
 
     def frame_s(self, order: FilmOrder, checked: FilmChecked) -> float:
         """Return the expected seconds of each frame of a film."""
@@ -97,12 +97,12 @@ class Service:
             The errors of ``Pool.run``.
         """
         if not self.draws:
-            raise NotServedError("level", "level: this service has archives only and renders nothing. GET /archives lists them.")
+            raise NotServedError("level", "level: this service has archives only and renders nothing.")
         client = network_of(request.client.host if request.client else "")
         if self.pool.finished(job) is None:
             if job.request.sun is not None:
                 level = None if isinstance(job, DescribedPlanJob) else job.level
-                self.new_suns.take(client, (level, job.request.sun))
+                self.rate_limiter.acquire(client, (level, job.request.sun))
             request.state.expected_time = ExpectedTime(self.pool.expected_wait_s(job, client), self.pool.expected_s(job))
         try:
             return await cancel_on_disconnect(request, self.pool.run(job, client))
@@ -121,7 +121,7 @@ def service_of(request: Request) -> Service:
     return request.app.state.service
 
 
-async def the_service(request: Request) -> Service:
+async def get_service(request: Request) -> Service:
     """Return the service (a FastAPI dependency).
 
     It is asynchronous since FastAPI calls plain functions in a thread, and no thread may be left.
@@ -129,13 +129,13 @@ async def the_service(request: Request) -> Service:
     return service_of(request)
 
 
-TheService = Annotated[Service, Depends(the_service)]
+TheService = Annotated[Service, Depends(get_service)]
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
     """Return the result of work; cancel it and raise ``ClientGoneError`` if the client disconnects."""
     task = asyncio.ensure_future(work)
-    gone = asyncio.ensure_future(_gone(request))
+    gone = asyncio.ensure_future(_disconnected(request))
     try:
         await asyncio.wait({task, gone}, return_when=asyncio.FIRST_COMPLETED)
         if not task.done():
@@ -146,6 +146,6 @@ async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -
         gone.cancel()
 
 
-async def _gone(request: Request) -> None:
+async def _disconnected(request: Request) -> None:
     while (await request.receive())["type"] != "http.disconnect":
         pass

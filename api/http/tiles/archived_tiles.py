@@ -8,7 +8,7 @@ import logging
 from starlette.concurrency import run_in_threadpool
 
 from skugga.api.errors import ArchiveError
-from skugga.api.http.answers import cache_headers, tag_of
+from skugga.api.http.answers import cache_headers, entity_tag
 from skugga.api.http.state.archive_file import ArchiveFile
 from skugga.api.http.state.encoded_tiles import EncodedTile
 
@@ -30,5 +30,5 @@ def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *asked: objec
     Its entity tag depends on its bytes and on the request's parts ``asked``. All services with this tile therefore have the same
     tag, and it stays the same if an archive is replaced by another one with the same tile.
     """
-    tag = tag_of("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *asked)
+    tag = entity_tag("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *asked)
     return EncodedTile(body, {**cache_headers(tag, fresh_s), "Server-Timing": "archive;desc=read", **more}, archive.media_type)

@@ -6,7 +6,7 @@ from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
-from skugga.api.http.answers import GIVEN_SUN_S, cache_headers, is_fresh, tag_of
+from skugga.api.http.answers import REQUESTED_SUN_FRESH_S, cache_headers, entity_tag, is_fresh
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.products import products_with
 from skugga.api.request import ProductRequest
@@ -21,7 +21,7 @@ async def legend_answer(
     if color_scale is None:
         with_legends = ", ".join(products_with(lambda each: each.color_scale))
         raise InputError(parameter, asked.product, f"a layer with a legend ({with_legends})")
-    headers = cache_headers(tag_of("legend", format, served.version, asked.query()), GIVEN_SUN_S)
+    headers = cache_headers(entity_tag("legend", format, served.version, asked.query()), REQUESTED_SUN_FRESH_S)
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     scale = await run_in_threadpool(color_scale, asked.options, served.world)

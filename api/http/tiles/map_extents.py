@@ -8,7 +8,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
-from skugga.api.http.numbers import decimal_in
+from skugga.api.http.numbers import parse_decimal
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.errors import InputError, UnsupportedError
@@ -19,7 +19,7 @@ from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 MapBounds = tuple[float, float, float, float]
 """West, south, east, north in units of a CRS."""
 
-LONGEST_SIDE_PX = 1024
+DEFAULT_SIDE_PX = 1024
 """Longer side of a map whose request has no size."""
 
 CRS_WORDS = "a projected or geographic CRS by its code, as EPSG:3857 or OGC:CRS84"
@@ -65,7 +65,7 @@ def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBou
 
     The text has that order, too; with ``swapped`` it is south, west, north, east.
     """
-    values = [value for part in text.split(",") if (value := decimal_in(part)) is not None]
+    values = [value for part in text.split(",") if (value := parse_decimal(part)) is not None]
     if len(values) != 4 or text.count(",") != 3:
         raise InputError(name, text[:100], "four numbers: " + ("south,west,north,east" if swapped else "west,south,east,north"))
     west, south, east, north = (values[i] for i in ((1, 0, 3, 2) if swapped else (0, 1, 2, 3)))
@@ -92,7 +92,7 @@ def bounds_in(level: ServedLevel, crs: CRS) -> MapBounds:
 def map_size(width: int | None, height: int | None, aspect: float) -> tuple[int, int]:
     """Return (width, height) of a map in pixels. A missing side follows from the other by ``aspect`` (width / height)."""
     if width is None and height is None:
-        width, height = (LONGEST_SIDE_PX, None) if aspect >= 1.0 else (None, LONGEST_SIDE_PX)
+        width, height = (DEFAULT_SIDE_PX, None) if aspect >= 1.0 else (None, DEFAULT_SIDE_PX)
     if width is None:
         assert height is not None
         return max(round(height * aspect), 1), height

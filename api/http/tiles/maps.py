@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fastapi import Request, Response
 
 from skugga.api.encoding import check_format
-from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S
+from skugga.api.http.answers import DEFAULT_SUN_FRESH_S, REQUESTED_SUN_FRESH_S
 from skugga.api.http.parameters import check_pixels
 from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.served_levels import ServedLevel
@@ -18,12 +18,12 @@ from skugga.api.request import ProductRequest
 from skugga.api.workers.jobs import MapJob
 from skugga.terrain.errors import InputError
 
-SAME_DEGREES = {"OGC:CRS84": "EPSG:4326"}
+EQUIVALENT_CRS = {"OGC:CRS84": "EPSG:4326"}
 """CRSs that differ in axis order only, by the CRS that replaces them.
 
 Extents have a fixed axis order here, so both can share the grid of tiles."""
 
-THINNEST = 4.0
+MAX_PIXEL_ASPECT = 4.0
 """Maximum aspect ratio of pixels."""
 
 
@@ -62,19 +62,19 @@ async def map_answer(request: Request, service: Service, level: ServedLevel, ask
     check_pixels(asked.size, service.settings.max_snapshot_pixels)
     if asked.bounds is not None:
         _check_pixel_shape(asked.bounds, asked.size)
-    crs = asked.crs and SAME_DEGREES.get(asked.crs, asked.crs)
+    crs = asked.crs and EQUIVALENT_CRS.get(asked.crs, asked.crs)
     job = MapJob(
         level=level.key, bounds=asked.bounds, crs=crs, size=asked.size, format=asked.format, background=asked.background,
         request=wanted,
     )  # fmt: skip
-    fresh_s = OWN_SUN_S if product.when == "sun" and wanted.sun is None else GIVEN_SUN_S
+    fresh_s = DEFAULT_SUN_FRESH_S if product.when == "sun" and wanted.sun is None else REQUESTED_SUN_FRESH_S
     return await job_answer(request, service, job, level.name, "map", MEDIA_TYPES[asked.format], fresh_s)
 
 
 def _check_pixel_shape(bounds: MapBounds, size: tuple[int, int]) -> None:
     west, south, east, north = bounds
     wide, high = (east - west) / size[0], (north - south) / size[1]
-    if max(wide, high) > THINNEST * min(wide, high):
+    if max(wide, high) > MAX_PIXEL_ASPECT * min(wide, high):
         raise InputError(
-            "size", f"{size[0]}x{size[1]}", f"pixels at most {THINNEST:g} times as long as wide: {wide:.3g} by {high:.3g}"
+            "size", f"{size[0]}x{size[1]}", f"pixels at most {MAX_PIXEL_ASPECT:g} times as long as wide: {wide:.3g} by {high:.3g}"
         )

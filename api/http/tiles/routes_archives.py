@@ -9,10 +9,10 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 
 from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES
 from skugga.api.errors import ArchiveError, NotServedError
-from skugga.api.http.answers import JSON_MEDIA, OWN_SUN_S, base_url, cache_headers, json_answer, tag_of
-from skugga.api.http.documented import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
+from skugga.api.http.answers import DEFAULT_SUN_FRESH_S, JSON_MEDIA, base_url, cache_headers, entity_tag, json_answer
+from skugga.api.http.openapi_parts import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
 from skugga.api.http.parameters import allow_only
-from skugga.api.http.state.served_archives import archive_facts
+from skugga.api.http.state.served_archives import archive_summary
 from skugga.api.http.state.service import TheService
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
 from skugga.api.http.tiles.tilejson import tilejson_answer
@@ -38,7 +38,7 @@ async def archives(request: Request, service: TheService) -> Response:
     found = []
     for name in service.archives.names():
         try:
-            found.append(archive_facts(name, await service.archives.current(name)))
+            found.append(archive_summary(name, await service.archives.current(name)))
         except ArchiveError:  # already logged
             continue
     return json_answer(request, found)
@@ -53,13 +53,14 @@ async def archives(request: Request, service: TheService) -> Response:
 async def archive_tilejson(request: Request, service: TheService, archive: ArchivePath) -> Response:
     """Return TileJSON 3.0.0 for map clients. Layers of heights have their `encoding`; `skugga` is that of the metadata."""
     served = await service.archives.current(archive)
-    facts = archive_facts(archive, served)
+    facts = archive_summary(archive, served)
     address = f"{base_url(request, service.settings.public_url)}/archives/{quote(archive)}"
     product = PRODUCTS.get(str(facts["layer"]))
     more = {} if product is None or product.encoding is None else {"encoding": product.encoding}
     return tilejson_answer(
         request, facts["title"], facts["attribution"], f"{address}/{{z}}/{{x}}/{{y}}.{served.format}",
-        (facts["minzoom"], facts["maxzoom"]), served.bounds, more | ({"skugga": served.of_skugga} if served.of_skugga else {}),
+        (facts["minzoom"], facts["maxzoom"]), served.bounds,
+        more | ({"skugga": served.skugga_metadata} if served.skugga_metadata else {}),
     )  # fmt: skip
 
 
@@ -90,5 +91,5 @@ async def archive_tile(
     if body is None:
         if service.settings.empty_tile == "404":
             raise NotServedError("x", f"x: {archive} has no tile {x}, {y} at zoom {z}.")
-        return Response(status_code=204, headers=cache_headers(tag_of(served.version, z, x, y), OWN_SUN_S))
-    return archived_tile(body, served, OWN_SUN_S).answer(request)
+        return Response(status_code=204, headers=cache_headers(entity_tag(served.version, z, x, y), DEFAULT_SUN_FRESH_S))
+    return archived_tile(body, served, DEFAULT_SUN_FRESH_S).answer(request)

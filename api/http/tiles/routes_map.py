@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from skugga.api.http.documented import LevelPath, for_example
 from skugga.api.http.numbers import PLAIN_WHOLE
+from skugga.api.http.openapi_parts import LevelPath, example_query
 from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, map_query
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import TheService
@@ -26,7 +26,7 @@ router = APIRouter(tags=["maps"], responses=PICTURE_DOCS, default_response_class
     "/levels/{level}/map.{format}",
     summary="A map of any extent",
     dependencies=[Depends(allow_only("bbox", "crs", "width", "height", *TILE_PARAMETERS))],
-    openapi_extra=for_example("bbox", "crs", "width"),
+    openapi_extra=example_query("bbox", "crs", "width"),
 )
 async def map_of_level(
     request: Request,

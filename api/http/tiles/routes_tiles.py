@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request, Response
 
-from skugga.api.http.documented import ColumnPath, LevelPath, MatrixSetPath, RowPath, ZoomPath
+from skugga.api.http.openapi_parts import ColumnPath, LevelPath, MatrixSetPath, RowPath, ZoomPath
 from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
 from skugga.api.http.state.service import TheService
 from skugga.api.http.tiles.tile_answers import tile_answer

@@ -10,12 +10,20 @@ from starlette.concurrency import run_in_threadpool
 
 from skugga.api.encoding import ARRAY_FORMATS, check_format
 from skugga.api.errors import ArchiveError, NotServedError
-from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
-from skugga.api.http.moments import time_headers
+from skugga.api.http.answers import (
+    DEFAULT_SUN_FRESH_S,
+    REQUESTED_SUN_FRESH_S,
+    cache_headers,
+    entity_tag,
+    is_fresh,
+    reach_headers,
+    render_headers,
+)
+from skugga.api.http.request_times import time_headers
 from skugga.api.http.state.encoded_tiles import EncodedTile
 from skugga.api.http.state.service import Service
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
-from skugga.api.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
+from skugga.api.matrices import check_tile, is_quadtree_level, matrix_set_of, off_data, tile_view
 from skugga.api.products.product import MEDIA_TYPES, MapFormat
 from skugga.api.request import ProductRequest
 from skugga.api.workers.block_tiles import empty_file, empty_tile, place_in_block
@@ -59,16 +67,16 @@ async def tile_answer(
     """
     level, matrix_set = await service.level(name), matrix_set_of(tms)
     check_tile(matrix_set, level.zooms_in(tms), *zxy)
-    if scale == 2 and not doubles(matrix_set, zxy[0]):
+    if scale == 2 and not is_quadtree_level(matrix_set, zxy[0]):
         raise NotServedError("z", f"z: {tms} has no @2x tiles at zoom {zxy[0]}. Use tiles without @2x.")
     product = wanted.record
     check_format(product, format)
     assert level.data_bounds is not None  # it has zooms, so it has a place on earth
     empty = off_data(matrix_set, *zxy, level.data_bounds)
-    longest_s = OWN_SUN_S if product.when != "days" and wanted.sun is None else GIVEN_SUN_S
+    longest_s = DEFAULT_SUN_FRESH_S if product.when != "days" and wanted.sun is None else REQUESTED_SUN_FRESH_S
     by: tuple[str | None, ...] = service.pool.renderer, service.pool.plan_version(level.key)
     archives = await service.archives.of_level(level)
-    archive = archives.answering(product.name, format, tms, wanted.product_query(), zxy[0]) if scale == 1 and not empty else None
+    archive = archives.archive_of(product.name, format, tms, wanted.product_query(), zxy[0]) if scale == 1 and not empty else None
     if archive is not None:
         with suppress(ArchiveError):  # already logged; the tile is rendered instead
             body = await read_tile(archive, *zxy)
@@ -85,7 +93,7 @@ async def tile_answer(
     if archive is not None and empty:
         tag_parts += (archive.version,)  # a rendered tile may differ
     of_time = time_headers(request)
-    headers = cache_headers(tag_of(*by, *tag_parts), service.fresh_s(request, longest_s)) | of_time
+    headers = cache_headers(entity_tag(*by, *tag_parts), service.fresh_s(request, longest_s)) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if empty:
@@ -112,10 +120,10 @@ async def tile_answer(
     block = await service.done(request, job)
     assert isinstance(block, BlockTiles)
     by = block.renderer, block.plan_version
-    tag = tag_of(*by, *tag_parts)
+    tag = entity_tag(*by, *tag_parts)
     fresh_s = service.fresh_s(request, longest_s)  # computed again: a pending probe shortens the lifetime
     made, again = (
-        cache_headers(tag, fresh_s) | of_time | drawn_headers(block, "block", kept, block.encode_ms)
+        cache_headers(tag, fresh_s) | of_time | render_headers(block, "block", kept, block.encode_ms)
         for kept in (kept or not block.drawn, True)
     )  # fmt: skip
     tile = EncodedTile(block.tiles[place], again, MEDIA_TYPES[format])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skugga.api.http.documented import WORK_ERRORS, Answers, file_docs, problem_docs
+from skugga.api.http.openapi_parts import WORK_ERRORS, Answers, file_docs, problem_docs
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
 from skugga.api.products.product import MEDIA_TYPES
 from skugga.selector.formatting import format_list

@@ -15,9 +15,9 @@ from pydantic import BaseModel, Field
 
 from skugga.api.animations.animation import Animation, AnimationStatus
 from skugga.api.animations.animations import Animations
-from skugga.api.animations.film_file import Reading
+from skugga.api.animations.film_file import FilmReader
 from skugga.api.errors import NotServedError, UnfinishedError
-from skugga.api.http.answers import is_fresh, tag_of
+from skugga.api.http.answers import entity_tag, is_fresh
 from skugga.api.http.problems import Problem, problem_response, public_problem
 from skugga.api.settings import Settings
 
@@ -70,10 +70,10 @@ def state_of(animation: Animation, animations: Animations, address: str) -> Anim
     if animation.status == "successful":
         media_type = FILM_MEDIA[animation.order.format]
         links.append(Link(href=f"{address}/result", rel=RESULTS, type=media_type, title="The film"))
-    told = None if animation.error is None else public_problem(animation.error)
+    problem = None if animation.error is None else public_problem(animation.error)
     messages: dict[AnimationStatus, str] = {
         "accepted": "The animation is in the queue.", "running": f"{done} of {frames} frames are drawn.",
-        "successful": "The film is ready.", "failed": "" if told is None else told.detail,
+        "successful": "The film is ready.", "failed": "" if problem is None else problem.detail,
         "dismissed": animation.message or "",
     }  # fmt: skip
     return AnimationState(
@@ -81,7 +81,7 @@ def state_of(animation: Animation, animations: Animations, address: str) -> Anim
         frames=frames, frames_done=done,
         seconds_left=None if animation.ended else round(animations.seconds_left(animation), 1),
         created=animation.created, started=animation.started, updated=animation.updated, finished=animation.finished,
-        expires=animation.expires, problem=told, links=links,
+        expires=animation.expires, problem=problem, links=links,
     )  # fmt: skip
 
 
@@ -116,7 +116,7 @@ def film_answer(request: Request, animation: Animation, animations: Animations, 
         raise UnfinishedError(message, retry_s(animations.seconds_left(animation), settings))
     nbytes = animation.film.nbytes
     headers = {
-        "ETag": tag_of("animation", animation.id), "Accept-Ranges": "bytes",
+        "ETag": entity_tag("animation", animation.id), "Accept-Ranges": "bytes",
         "Cache-Control": f"private, max-age={int(settings.animation_age_s)}",
     }  # fmt: skip
     if is_fresh(request, headers["ETag"]):
@@ -134,16 +134,16 @@ def byte_range(text: str, nbytes: int) -> tuple[int, int] | None:
 
     ``nbytes`` is the size of the whole. Several ranges, or one outside the file, give ``None``: the whole may be sent then.
     """
-    found = _RANGE.fullmatch(text.strip())
-    if found is None or not any(found.groups()):
+    match = _RANGE.fullmatch(text.strip())
+    if match is None or not any(match.groups()):
         return None
-    first, last = found.groups()
+    first, last = match.groups()
     begin = int(first) if first else max(nbytes - int(last), 0)
     end = min(int(last) + 1, nbytes) if first and last else nbytes
     return (begin, end) if begin < end else None
 
 
-async def _chunks(reading: Reading) -> AsyncIterator[bytes]:
+async def _chunks(reading: FilmReader) -> AsyncIterator[bytes]:
     try:
         while chunk := await asyncio.to_thread(reading.chunk):
             yield chunk

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 from fastapi import Query
 from pydantic import ValidationError
 
-from skugga.api.http.numbers import PLAIN_DECIMAL, decimal_in
+from skugga.api.http.numbers import PLAIN_DECIMAL, parse_decimal
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.level.parts import PerspectiveSpec
 
-FURTHEST_UP_M = 100_000.0
+MAX_EYE_OR_TARGET_HEIGHT_M = 100_000.0
 """Largest height of an eye or a target above the ground. Nobody views relief from higher up."""
 
 POSITION_WORDS = (
@@ -44,16 +44,16 @@ FovQuery = Annotated[
 
 async def camera_query(eye: EyeQuery = None, target: TargetQuery = None, fov: FovQuery = None) -> PerspectiveSpec | None:
     """Return the camera of a request, as a dependency; ``None`` for a request without one. Raises ``InputError``."""
-    given: dict[str, Any] = {"eye": eye, "target": target}
+    texts: dict[str, Any] = {"eye": eye, "target": target}
     if eye is None and target is None:
         if fov is not None:
             remedy = "Give eye and target as well, or omit fov: a view of the level has its own"
             raise InputError("fov", Problem("given without eye and target"), remedy)
         return None
-    for name, text in given.items():
+    for name, text in texts.items():
         if text is None:
             raise InputError.missing(name, "Give eye and target together")
-    positions = {name: parse_position(name, text) for name, text in given.items()}
+    positions = {name: parse_position(name, text) for name, text in texts.items()}
     try:
         return PerspectiveSpec(kind="perspective", **positions, **({} if fov is None else {"fov": fov}))
     except ValidationError:  # each one is valid by itself
@@ -62,8 +62,8 @@ async def camera_query(eye: EyeQuery = None, target: TargetQuery = None, fov: Fo
 
 def parse_position(name: str, text: str) -> tuple[float, float, float]:
     """Return a position: longitude and latitude (or metres east and north), and height. Raises ``InputError``."""
-    values = [value for part in text.split(",") if (value := decimal_in(part)) is not None]
-    if len(values) != 3 or text.count(",") != 2 or max(map(abs, values[:2])) > 1e9 or abs(values[2]) > FURTHEST_UP_M:
+    values = [value for part in text.split(",") if (value := parse_decimal(part)) is not None]
+    if len(values) != 3 or text.count(",") != 2 or max(map(abs, values[:2])) > 1e9 or abs(values[2]) > MAX_EYE_OR_TARGET_HEIGHT_M:
         raise InputError(name, text, POSITION_WORDS)
     return values[0], values[1], values[2]
 

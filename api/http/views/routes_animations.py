@@ -8,11 +8,11 @@ from fastapi import APIRouter, Body, Depends, Path, Request, Response
 
 from skugga.api.animations.animation import Animation
 from skugga.api.http.answers import base_url
-from skugga.api.http.documented import WORK_ERRORS, Answers, LevelPath, file_docs, problem_docs
+from skugga.api.http.openapi_parts import WORK_ERRORS, Answers, LevelPath, file_docs, problem_docs
 from skugga.api.http.parameters import allow_only
 from skugga.api.http.state.service import Service, TheService
+from skugga.api.http.views.animation_request import AnimationRequest, error_in_body, film_order
 from skugga.api.http.views.animation_states import FILM_MEDIA, AnimationState, film_answer, state_answer, state_of
-from skugga.api.http.views.asked_animation import AskedAnimation, in_body, order_of
 from skugga.api.workers.jobs import FilmChecked, FilmCheckJob
 from skugga.terrain.errors import InputError
 
@@ -49,7 +49,7 @@ async def ask_for_animation(
     request: Request,
     service: TheService,
     level: LevelPath,
-    asked: Annotated[AskedAnimation, Body(description="When it plays and what it shows.", examples=[EXAMPLE])],
+    asked: Annotated[AnimationRequest, Body(description="When it plays and what it shows.", examples=[EXAMPLE])],
 ) -> Response:
     """Create an animation of a level with a moving sun, a moving camera, or both.
 
@@ -58,18 +58,18 @@ async def ask_for_animation(
     animation while it is drawn, or while its film is kept.
     """
     served = await service.level(level)
-    order = order_of(asked, served, service.settings)
+    order = film_order(asked, served, service.settings)
     animation = service.animations.known(order)
     if animation is None:
-        service.animations.check_room()
+        service.animations.check_queue()
         check = FilmCheckJob(**{name: getattr(order, name) for name in FilmCheckJob.model_fields})
         try:
             checked = await service.done(request, check)
         except InputError as error:
-            raise in_body(error, order) from None
+            raise error_in_body(error, order) from None
         assert isinstance(checked, FilmChecked)
         animation = service.animations.ask(order, service.frame_s(order, checked))
-    return _told(request, service, animation, 200 if animation.ended else 202)
+    return _state_response(request, service, animation, 200 if animation.ended else 202)
 
 
 @router.get(
@@ -85,7 +85,7 @@ async def animation_state(request: Request, service: TheService, animation: Anim
     The status is `accepted`, `running`, `successful`, `failed` or `dismissed`. The state also has the number of drawn frames and
     the expected time left. `Retry-After` says when to ask again.
     """
-    return _told(request, service, service.animations.get(animation))
+    return _state_response(request, service, service.animations.get(animation))
 
 
 @router.get(
@@ -114,11 +114,11 @@ async def animation_result(request: Request, service: TheService, animation: Ani
 )
 async def dismiss_animation(request: Request, service: TheService, animation: AnimationPath) -> Response:
     """Stop drawing an animation, and delete its film."""
-    found = service.animations.get(animation)
-    service.animations.dismiss(found, "A client dismissed it.")
-    return _told(request, service, found)
+    job = service.animations.get(animation)
+    service.animations.dismiss(job, "A client dismissed it.")
+    return _state_response(request, service, job)
 
 
-def _told(request: Request, service: Service, animation: Animation, status: int = 200) -> Response:
+def _state_response(request: Request, service: Service, animation: Animation, status: int = 200) -> Response:
     address = f"{base_url(request, service.settings.public_url)}/animations/{animation.id}"
     return state_answer(status, state_of(animation, service.animations, address), service.settings)

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S
-from skugga.api.http.documented import LevelPath, file_docs, for_example
+from skugga.api.http.answers import DEFAULT_SUN_FRESH_S, REQUESTED_SUN_FRESH_S
 from skugga.api.http.numbers import PLAIN_DECIMAL
+from skugga.api.http.openapi_parts import LevelPath, example_query, file_docs
 from skugga.api.http.parameters import (
     PICTURE_PARAMETERS,
     LayerQuery,
@@ -34,10 +34,10 @@ router = APIRouter(
     tags=["snapshots"], responses=PICTURE_DOCS | file_docs("The picture.", MEDIA_TYPES.values()), default_response_class=Response
 )
 
-MADE_VIEW = "made"
+REQUEST_VIEW_NAME = "made"
 """Name, in plans, of a view that a request defines."""
 
-OF_ONE_LIGHT = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
+SINGLE_LIGHT_LAYERS = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not PRODUCTS[name].is_display], max_items=len(PRODUCTS))
 """Layers that show the shadow of one light, as a phrase."""
 
 
@@ -45,7 +45,7 @@ OF_ONE_LIGHT = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not PRODUCT
     "/levels/{level}/snapshot.{format}",
     summary="A view of a level",
     dependencies=[Depends(allow_only("view", *CAMERA_PARAMETERS, "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))],
-    openapi_extra=for_example("size"),
+    openapi_extra=example_query("size"),
 )
 async def snapshot(
     request: Request,
@@ -62,7 +62,9 @@ async def snapshot(
     light: Annotated[
         str | None,
         Query(
-            max_length=100, description=f"The light that {OF_ONE_LIGHT} show; default: the sun, else the first.", examples=["sun"]
+            max_length=100,
+            description=f"The light that {SINGLE_LIGHT_LAYERS} show; default: the sun, else the first.",
+            examples=["sun"],
         ),
     ] = None,
     seconds: Annotated[
@@ -88,7 +90,7 @@ async def snapshot(
         raise InputError("format", format, f"{', '.join(product.view_formats)} for layer {layer}")
     if seen_from is not None and view is not None:
         raise InputError.conflict("view", "eye and target")
-    name = MADE_VIEW if seen_from is not None else served.view_named(view)
+    name = REQUEST_VIEW_NAME if seen_from is not None else served.view_named(view)
     given_size = None if size is None else parse_size(size)
     pixels = given_size or (served.view_sizes[name] if seen_from is None else seen_from.size)
     if pixels is not None:
@@ -101,5 +103,5 @@ async def snapshot(
         light=None if product.is_display else light, seconds=seconds,
         request=ProductRequest(product=layer, **dict(wanted)),
     )  # fmt: skip
-    fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
+    fresh_s = DEFAULT_SUN_FRESH_S if wanted.sun is None else REQUESTED_SUN_FRESH_S
     return await job_answer(request, service, job, level, "snapshot", MEDIA_TYPES[format], fresh_s)

@@ -13,7 +13,7 @@ from skugga.api.report.page.scales import round_time
 from skugga.api.report.summary import RowFigures
 from skugga.selector.formatting import format_duration
 
-BARS_WIDTH, BAR_STEP, BARS_TOP, BAR = 1180.0, 21.0, 26.0, 14.0
+BARS_WIDTH, BAR_STEP, BARS_TOP, BAR_HEIGHT = 1180.0, 21.0, 26.0, 14.0
 NAME_PX, BAR_CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0
 REST = "not in a stage"
 MIN_REST = 0.02
@@ -35,9 +35,9 @@ class Axis:
     left: float
     end_ms: float
 
-    def px(self, ms: float, whole_ms: float) -> float:
-        """Return the width in pixels of a segment of ``ms`` in a bar of ``whole_ms``."""
-        return ms * (BARS_WIDTH - self.left - TIME_PX) / max(self.end_ms, whole_ms)
+    def px(self, ms: float, total_ms: float) -> float:
+        """Return the width in pixels of a segment of ``ms`` in a bar of ``total_ms``."""
+        return ms * (BARS_WIDTH - self.left - TIME_PX) / max(self.end_ms, total_ms)
 
 
 def bars(figures: list[RowFigures]) -> str:
@@ -58,9 +58,9 @@ def bars(figures: list[RowFigures]) -> str:
     )
 
 
-def too_long(figures: list[RowFigures]) -> bool:
+def exceeds_axis(figures: list[RowFigures]) -> bool:
     """Return whether any bar is longer than the axis."""
-    return max(map(_whole_ms, figures), default=0.0) > _end_ms(figures)
+    return max(map(_total_ms, figures), default=0.0) > _end_ms(figures)
 
 
 def bars_legend(figures: list[RowFigures]) -> str:
@@ -85,7 +85,7 @@ def _colours(figures: list[RowFigures]) -> dict[str, str]:
     return colours | ({REST: COLOURS["gray"]} if REST in stages else {})
 
 
-def _whole_ms(figures: RowFigures) -> float:
+def _total_ms(figures: RowFigures) -> float:
     return sum(stages_of(figures).values())
 
 
@@ -93,7 +93,7 @@ def _end_ms(figures: list[RowFigures]) -> float:
     """Return the end of the axis: the longest time, but at most twice the 80th percentile, so that outliers do not shrink
     all other bars.
     """
-    times = sorted(map(_whole_ms, figures)) or [0.0]
+    times = sorted(map(_total_ms, figures)) or [0.0]
     common = 2.0 * times[(4 * (len(times) - 1)) // 5]
     return max(1e-3, times[-1] if times[-1] <= common or common == 0.0 else common)
 
@@ -108,15 +108,17 @@ def _grid(axis: Axis, bottom: float) -> Iterator[str]:
 
 
 def _bar(k: int, figures: RowFigures, y: float, axis: Axis, colours: dict[str, str]) -> str:
-    stages, whole_ms, line = stages_of(figures), _whole_ms(figures), y + BAR - 3.0
+    stages, total_ms, line = stages_of(figures), _total_ms(figures), y + BAR_HEIGHT - 3.0
     x, parts = axis.left, []
     for name, ms in stages.items():
-        width = axis.px(ms, whole_ms)
+        width = axis.px(ms, total_ms)
         title = tag("title", escape(f"{figures['name']}, {name}: {format_duration(ms)}"))
-        parts.append(tag("rect", title, x=f"{x:.2f}", y=f"{y:g}", width=f"{width:.2f}", height=BAR, fill=colours[name]))
+        parts.append(tag("rect", title, x=f"{x:.2f}", y=f"{y:g}", width=f"{width:.2f}", height=BAR_HEIGHT, fill=colours[name]))
         x += width
-    if whole_ms > axis.end_ms:
-        parts.append(tag("path", d=f"M{x - 17:.1f} {y + BAR + 2:g}l6 {-BAR - 4:g}m5 0l-6 {BAR + 4:g}", class_="cut"))
+    if total_ms > axis.end_ms:
+        parts.append(
+            tag("path", d=f"M{x - 17:.1f} {y + BAR_HEIGHT + 2:g}l6 {-BAR_HEIGHT - 4:g}m5 0l-6 {BAR_HEIGHT + 4:g}", class_="cut")
+        )
     time = format_duration(figures["ms_median"])
     return tag(
         "a",

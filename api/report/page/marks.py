@@ -17,7 +17,7 @@ COLOURS: dict[MarkColour, str] = {
     "gray": "#6b7280", "black": "#000000",
 }  # fmt: skip
 
-POINTS: dict[str, str] = {
+SHAPE_POINTS: dict[str, str] = {
     "circle": "circle",
     "square": " ".join(f"{x:.3g},{y:.3g}" for x, y in ((-0.88, -0.88), (0.88, -0.88), (0.88, 0.88), (-0.88, 0.88))),
     **{
@@ -37,7 +37,7 @@ POINTS: dict[str, str] = {
 """Polygon vertices of marks, about the size of a unit circle."""
 
 
-def drawn(mark: Mark, x: float, y: float, radius: float = 6.0) -> str:
+def mark_svg(mark: Mark, x: float, y: float, radius: float = 6.0) -> str:
     """Return a mark as an SVG element centred at a point, pixels."""
     colour = COLOURS[mark.colour]
     paint = {"fill": colour, "stroke": "#fff"} if mark.filled else {"fill": "#fff", "stroke": colour}
@@ -45,7 +45,7 @@ def drawn(mark: Mark, x: float, y: float, radius: float = 6.0) -> str:
         "stroke_width": f"{(1.0 if mark.filled else 2.2) / radius:.3f}",
         "transform": f"translate({x:.1f} {y:.1f}) scale({radius:g})",
     }
-    return tag("circle", r=1, **paint) if mark.shape == "circle" else tag("polygon", points=POINTS[mark.shape], **paint)
+    return tag("circle", r=1, **paint) if mark.shape == "circle" else tag("polygon", points=SHAPE_POINTS[mark.shape], **paint)
 
 
 def mark_of(family: str) -> Mark:
@@ -55,11 +55,11 @@ def mark_of(family: str) -> Mark:
     """
     names = family.split(" + ")
     lead = next((name for name in names if name != FALLBACK), names[0])
-    mark = ALGORITHMS[lead].mark if lead in ALGORITHMS else SPARE
+    mark = ALGORITHMS[lead].mark if lead in ALGORITHMS else FALLBACK_MARK
     return mark if len(names) == 1 else replace(mark, filled=False)
 
 
-SPARE = Mark("cross", "black")
+FALLBACK_MARK = Mark("cross", "black")
 
 STAGE_COLOURS = (
     *(COLOURS[name] for name in ("blue", "orange", "green", "vermilion", "sky", "purple")),

@@ -30,7 +30,7 @@ class Pictures:
     ----------
     ground
         ``data:`` URI of the ground.
-    of_rows
+    row_uris
         ``data:`` URI of each row.
     rows, cols
         Size of the pictures, pixels.
@@ -41,7 +41,7 @@ class Pictures:
     """
 
     ground: str
-    of_rows: list[str]
+    row_uris: list[str]
     rows: int
     cols: int
     factor: int
@@ -50,7 +50,7 @@ class Pictures:
     @property
     def size(self) -> int:
         """Total number of characters of all URIs."""
-        return len(self.ground) + sum(map(len, self.of_rows))
+        return len(self.ground) + sum(map(len, self.row_uris))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +70,8 @@ class ErrorPicture:
     missed_shadow: np.ndarray
 
 
-def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], most: int) -> Pictures:
-    """Return pictures of at most ``most`` characters, shrunk by the smallest sufficient integer factor.
+def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], max_characters: int) -> Pictures:
+    """Return pictures of at most ``max_characters`` characters, shrunk by the smallest sufficient integer factor.
 
     ``ground`` is uint8 (rows, cols, 3). At each factor the fewer levels are tried second. Visibility is averaged over a block;
     a block with any wrong pixel is wrong, so that no error disappears.
@@ -79,8 +79,8 @@ def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], most: int) -> 
     factor = -(-max(ground.shape[:2]) // MAX_SIDE_PX)
     while True:
         for levels in (GRAY_LEVELS, FEW_GRAY_LEVELS):
-            result = _at(ground, rows, factor, levels, most)
-            if result.size <= most or factor >= max(ground.shape[:2]):
+            result = _encoded_pictures(ground, rows, factor, levels, max_characters)
+            if result.size <= max_characters or factor >= max(ground.shape[:2]):
                 return result
         factor += 1
 
@@ -104,18 +104,18 @@ def palette(levels: int = GRAY_LEVELS) -> np.ndarray:
     return np.concatenate([grays, reds, blues]).astype(np.uint8)
 
 
-def _at(ground: np.ndarray, rows: list[ErrorPicture], factor: int, levels: int, most: int) -> Pictures:
-    """Return the pictures at a factor and a number of levels; stop early once they exceed ``most`` characters."""
+def _encoded_pictures(ground: np.ndarray, rows: list[ErrorPicture], factor: int, levels: int, max_characters: int) -> Pictures:
+    """Return the pictures at a factor and a number of levels; stop early once they exceed ``max_characters`` characters."""
     small = np.rint(_blocks(ground, factor).mean(axis=(1, 3))).astype(np.uint8)
-    ground_uri, of_rows = _webp(small, quality=80, method=4), []
+    ground_uri, row_uris = _webp(small, quality=80, method=4), []
     size = len(ground_uri)
     for row in rows:
-        of_rows.append(_webp(palette(levels)[indexes(row, factor, levels)], lossless=True, quality=25, method=3))
-        size += len(of_rows[-1])
-        if size > most:
+        row_uris.append(_webp(palette(levels)[indexes(row, factor, levels)], lossless=True, quality=25, method=3))
+        size += len(row_uris[-1])
+        if size > max_characters:
             break
-    high, wide = small.shape[:2]
-    return Pictures(ground_uri, of_rows, high, wide, factor, levels)
+    height, width = small.shape[:2]
+    return Pictures(ground_uri, row_uris, height, width, factor, levels)
 
 
 def _blocks(values: np.ndarray, factor: int) -> np.ndarray:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
 
-from skugga.api.report.page.marks import drawn, mark_of
+from skugga.api.report.page.marks import mark_of, mark_svg
 from skugga.api.report.page.markup import tag
 from skugga.api.report.page.scales import Scale, round_time, scale_of
-from skugga.api.report.summary import FLOORS, RowFigures, algorithm_family, casts, on_front
+from skugga.api.report.summary import EXACT_NOISE_FLOORS, RowFigures, algorithm_family, casts, on_front
 from skugga.selector.formatting import format_duration, format_percent
 from skugga.selector.measure.compare import Comparison
 from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
@@ -68,33 +68,35 @@ def _plot(comparison: Comparison) -> str:
     y = scale_of([f[comparison.error] for f in figures_by_row.values()], SCATTER_HEIGHT - MARGIN_BOTTOM, MARGIN_TOP)
     points = [ScatterPoint(k, f, x(f["ms_median"]), y(f[comparison.error])) for k, f in figures_by_row.items()]
     points.sort(key=lambda point: (point.figures["pareto"], -point.figures["ms_median"]))  # the front on top
-    stairs = _stairs([point for point in points if on_front(point.figures, comparison.light)])
+    stairs = _staircase([point for point in points if on_front(point.figures, comparison.light)])
     return "".join([
         *_axes(x, y, "wrong pixels of the cast shadow" if comparison.error == "wrong_cast" else "error of the shadow share"),
-        *_floor(y, FLOORS * comparison.noise_floor),
+        *_noise_band(y, EXACT_NOISE_FLOORS * comparison.noise_floor),
         tag("polyline", points=" ".join(f"{x:.1f},{y:.1f}" for x, y in stairs), class_="stairs") if stairs else "",
         *(_mark(point, comparison) for point in points),
-        *_names(points, stairs, comparison.light),
+        *_labels(points, stairs, comparison.light),
     ])  # fmt: skip
 
 
-def still(comparison: Comparison, title: list[str], style: str) -> str:
+def scatter_file(comparison: Comparison, title: list[str], style: str) -> str:
     """Return the scatter plot as a separate SVG file with title lines, a legend and a style (CSS)."""
     names = _families(comparison)
-    foot = HEAD_PX + SCATTER_HEIGHT + 8.0
-    keys = []
+    legend_top = HEAD_PX + SCATTER_HEIGHT + 8.0
+    legend_items = []
     for k, name in enumerate(names):
         down, across = divmod(k, LEGEND_COLUMNS)
-        x, y = LEGEND_PX + across * (SCATTER_WIDTH - LEGEND_PX) / LEGEND_COLUMNS, foot + 1.4 * LINE_PX * down
-        keys.append(tag("g", drawn(mark_of(name), 8, 0, 5.2), _text(20, 4.5, name), transform=f"translate({x:.1f} {y:.1f})"))
-    height = foot + 1.4 * LINE_PX * -(-len(names) // LEGEND_COLUMNS)
+        x, y = LEGEND_PX + across * (SCATTER_WIDTH - LEGEND_PX) / LEGEND_COLUMNS, legend_top + 1.4 * LINE_PX * down
+        legend_items.append(
+            tag("g", mark_svg(mark_of(name), 8, 0, 5.2), _text(20, 4.5, name), transform=f"translate({x:.1f} {y:.1f})")
+        )
+    height = legend_top + 1.4 * LINE_PX * -(-len(names) // LEGEND_COLUMNS)
     return tag(
         "svg",
         tag("style", escape(style, quote=False)),
         tag("rect", width="100%", height="100%", fill="#fff"),
         *(_text(LEGEND_PX, 22.0 + LINE_PX * 1.2 * k, line, class_="title" if k else "name") for k, line in enumerate(title)),
         tag("g", _plot(comparison), transform=f"translate(0 {HEAD_PX:g})", class_="scatter"),
-        *keys,
+        *legend_items,
         xmlns="http://www.w3.org/2000/svg",
         viewBox=f"0 0 {SCATTER_WIDTH:g} {height:g}",
         width=f"{SCATTER_WIDTH:g}",
@@ -116,19 +118,19 @@ def _families(comparison: Comparison) -> list[str]:
 
 def swatch(name: str) -> str:
     """Return the mark of an algorithm as a small SVG element."""
-    return tag("svg", drawn(mark_of(name), 8, 8, 5.2), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
+    return tag("svg", mark_svg(mark_of(name), 8, 8, 5.2), viewBox="0 0 16 16", class_="swatch", aria_hidden="true")
 
 
 def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
     bottom, right = SCATTER_HEIGHT - MARGIN_BOTTOM, SCATTER_WIDTH - MARGIN_RIGHT
     for value in y.ticks():
-        tick_y = y(value)
-        yield tag("line", x1=MARGIN_LEFT, x2=right, y1=f"{tick_y:.1f}", y2=f"{tick_y:.1f}", class_="grid")
-        yield _text(MARGIN_LEFT - 9, tick_y + 4.5, f"{100.0 * value:g} %", "end")
+        tick_px = y(value)
+        yield tag("line", x1=MARGIN_LEFT, x2=right, y1=f"{tick_px:.1f}", y2=f"{tick_px:.1f}", class_="grid")
+        yield _text(MARGIN_LEFT - 9, tick_px + 4.5, f"{100.0 * value:g} %", "end")
     for value in x.ticks():
-        tick_y = x(value)
-        yield tag("line", x1=f"{tick_y:.1f}", x2=f"{tick_y:.1f}", y1=MARGIN_TOP, y2=bottom, class_="grid")
-        yield _text(tick_y, bottom + 20, round_time(value), "middle")
+        tick_px = x(value)
+        yield tag("line", x1=f"{tick_px:.1f}", x2=f"{tick_px:.1f}", y1=MARGIN_TOP, y2=bottom, class_="grid")
+        yield _text(tick_px, bottom + 20, round_time(value), "middle")
     if y.zero_px is not None:
         yield tag("line", x1=MARGIN_LEFT, x2=right, y1=y.start_px, y2=y.start_px, class_="break")
         yield _text(MARGIN_LEFT - 9, y.zero_px + 4.5, "0 %", "end")
@@ -141,7 +143,7 @@ def _axes(x: Scale, y: Scale, error: str) -> Iterator[str]:
     yield tag("text", escape(error), transform=f"translate(13 {middle:g}) rotate(-90)", text_anchor="middle", class_="title")
 
 
-def _floor(y: Scale, exact_to: float) -> Iterator[str]:
+def _noise_band(y: Scale, exact_to: float) -> Iterator[str]:
     """Yield the band of errors below the noise of truth, if it is visible."""
     top, bottom = y(exact_to), SCATTER_HEIGHT - MARGIN_BOTTOM
     if exact_to > y.low:
@@ -156,7 +158,7 @@ def _floor(y: Scale, exact_to: float) -> Iterator[str]:
         yield _text(SCATTER_WIDTH - MARGIN_RIGHT - 6, min(top + 15, bottom - 5), "truth cannot tell", "end", "remark")
 
 
-def _stairs(front: list[ScatterPoint]) -> list[tuple[float, float]]:
+def _staircase(front: list[ScatterPoint]) -> list[tuple[float, float]]:
     """Return the vertices of the staircase through the Pareto front; every point above and right of it is dominated."""
     steps = sorted((point.x, point.y) for point in front)
     corners = [(x, y) for (x, _), (_, y) in zip(steps, [(0.0, MARGIN_TOP), *steps], strict=False)]
@@ -172,7 +174,7 @@ def _mark(point: ScatterPoint, comparison: Comparison) -> str:
         "a",
         tag("title", escape(tooltip)),
         tag("circle", cx=f"{point.x:.1f}", cy=f"{point.y:.1f}", r=11, class_="halo"),
-        drawn(mark_of(algorithm_family(figures, comparison.light)), point.x, point.y, 7.0 if figures["pareto"] else 5.2),
+        mark_svg(mark_of(algorithm_family(figures, comparison.light)), point.x, point.y, 7.0 if figures["pareto"] else 5.2),
         href=f"#row-{point.row}",
         data_row=point.row,
         aria_label=tooltip,
@@ -180,7 +182,7 @@ def _mark(point: ScatterPoint, comparison: Comparison) -> str:
     )
 
 
-def _names(points: list[ScatterPoint], stairs: list[tuple[float, float]], light: str) -> Iterator[str]:
+def _labels(points: list[ScatterPoint], stairs: list[tuple[float, float]], light: str) -> Iterator[str]:
     """Yield labels of the rows on the front, at positions without overlap with marks, lines, labels or the frame.
 
     A row without such a position gets no label.
@@ -189,15 +191,15 @@ def _names(points: list[ScatterPoint], stairs: list[tuple[float, float]], light:
     occupied += [(min(a, c) - 1.0, min(b, d) - 1.0, max(a, c) + 1.0, max(b, d) + 1.0) for (a, b), (c, d) in pairwise(stairs)]
     for point in sorted((point for point in points if on_front(point.figures, light)), key=lambda point: -point.y):
         lines = point.figures["name"].replace(",", ",\n").split("\n")
-        width, more = LABEL_CHARACTER_PX * max(map(len, lines)), LINE_PX * (len(lines) - 1)
-        for anchor, right, down in PLACES:
+        width, extra_height = LABEL_CHARACTER_PX * max(map(len, lines)), LINE_PX * (len(lines) - 1)
+        for anchor, right, down in LABEL_POSITIONS:
             left = point.x + right - (width if anchor == "end" else 0.0)
-            line = point.y + down - (more if down < 0.0 else 0.0)
-            boxes = [(left, line - 12.0, left + width, line - 12.0 + LINE_PX + more)]
+            line = point.y + down - (extra_height if down < 0.0 else 0.0)
+            boxes = [(left, line - 12.0, left + width, line - 12.0 + LINE_PX + extra_height)]
             if abs(down) > 25.0:  # its leader
                 start, end = sorted((point.y + (9.0 if down > 0.0 else -9.0), point.y + down + (-12.0 if down > 0.0 else 4.0)))
                 boxes.append((point.x - 1.0, start, point.x + 1.0, end))
-            if all(_inside(box) and not any(_overlap(box, other) for other in occupied) for box in boxes):
+            if all(_is_inside(box) and not any(_overlaps(box, other) for other in occupied) for box in boxes):
                 occupied += boxes
                 yield from (
                     tag("path", d=f"M{point.x:.1f} {top:.1f}V{bottom:.1f}", class_="leader") for _, top, _, bottom in boxes[1:]
@@ -206,7 +208,7 @@ def _names(points: list[ScatterPoint], stairs: list[tuple[float, float]], light:
                 break
 
 
-PLACES = (
+LABEL_POSITIONS = (
     ("end", -13.0, 5.0), ("end", -9.0, 19.0), ("end", 3.0, 34.0), ("end", 3.0, 50.0), ("end", 3.0, 66.0), ("end", 3.0, 82.0),
     ("start", 11.0, -8.0), ("start", 13.0, 5.0), ("start", -3.0, 34.0), ("start", -3.0, 50.0), ("start", -3.0, 66.0),
     ("start", -3.0, -30.0), ("start", -3.0, -48.0), ("end", -9.0, -9.0),
@@ -216,7 +218,7 @@ first, since the area below and left of the front is empty.
 """
 
 
-def _inside(box: TextBox) -> bool:
+def _is_inside(box: TextBox) -> bool:
     return (
         box[0] > MARGIN_LEFT
         and box[2] < SCATTER_WIDTH - MARGIN_RIGHT
@@ -225,7 +227,7 @@ def _inside(box: TextBox) -> bool:
     )
 
 
-def _overlap(first: TextBox, second: TextBox) -> bool:
+def _overlaps(first: TextBox, second: TextBox) -> bool:
     return first[0] < second[2] and second[0] < first[2] and first[1] < second[3] and second[1] < first[3]
 
 

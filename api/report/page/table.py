@@ -27,7 +27,7 @@ class Column:
         Heading.
     unit
         Unit of the written values.
-    written
+    format_value
         Formatter of a value.
     meaning
         Explanation for the glossary.
@@ -36,21 +36,21 @@ class Column:
     key: str
     heading: str
     unit: str
-    written: Callable[[float], str]
+    format_value: Callable[[float], str]
     meaning: str = ""
 
 
 def fixed(digits: int, scale: float = 1.0) -> Callable[[float], str]:
     """Return a formatter with a number of decimals. It writes "0" only for zero, and "<" before small values."""
-    least = 10.0**-digits
+    smallest = 10.0**-digits
 
-    def written(value: float) -> str:
+    def format_value(value: float) -> str:
         scaled = value * scale
         if scaled == 0.0:
             return "0"
-        return f"{scaled:.{digits}f}" if scaled >= least / 2.0 else f"<{least:.{digits}f}"
+        return f"{scaled:.{digits}f}" if scaled >= smallest / 2.0 else f"<{smallest:.{digits}f}"
 
-    return written
+    return format_value
 
 
 def milliseconds(value: float) -> str:
@@ -125,11 +125,11 @@ def _settings(figures: RowFigures, light: str) -> dict[str, dict[str, str]]:
     return {", ".join(kinds[key]): settings[key] for key in kinds}
 
 
-def _flat(values: dict[str, Any], before: str = "") -> dict[str, str]:
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, str]:
     """Return nested settings as text by flat names, such as ``cascades 2 far m``."""
     flat: dict[str, str] = {}
     for key, value in values.items():
-        name = f"{before}{key.replace('_', ' ')}"
+        name = f"{prefix}{key.replace('_', ' ')}"
         if isinstance(value, dict):
             flat |= _flat(value, f"{name} ")
         elif isinstance(value, list) and value and isinstance(value[0], dict):
@@ -174,4 +174,4 @@ def _line(k: int, figures: RowFigures, light: str) -> str:
 
 def _figure(column: Column, figures: RowFigures) -> str:
     cold = figures["cold"] and column.unit == "ms" and figures[column.key] > 0.0
-    return escape(column.written(figures[column.key])) + ("?" if cold else "")
+    return escape(column.format_value(figures[column.key])) + ("?" if cold else "")

@@ -15,7 +15,7 @@ import pytest
 from skugga.api.animations.animation import Animation
 from skugga.api.animations.animations import Animations
 from skugga.api.animations.film_order import FilmOrder
-from skugga.api.errors import LaterError, NotServedError, StorageError
+from skugga.api.errors import NotServedError, RetryLaterError, StorageError
 from skugga.api.settings import Settings
 from skugga.api.workers.jobs import LevelKey
 from skugga.selector.film_request import FilmSpan
@@ -67,7 +67,7 @@ class Studio:
                 if self.encoder_fails is not None:
                     raise self.encoder_fails
 
-    def let_go(self, frames: int) -> None:
+    def release(self, frames: int) -> None:
         for _ in range(frames):
             self.go.release()
 
@@ -105,14 +105,14 @@ def test_an_animation_goes_from_accepted_to_successful_and_its_film_is_whole():
     async def scenario(animations: Animations, studio: Studio) -> None:
         animation = ask(animations, order())
         assert (animation.status, animation.frames_done, animation.film) == ("accepted", 0, None)
-        studio.let_go(2)
+        studio.release(2)
         await until(lambda: animation.frames_done == 2)
         assert (animation.status, animation.film) == ("running", None)
-        studio.let_go(FRAMES - 2)
+        studio.release(FRAMES - 2)
         await until(lambda: animation.ended)
         assert (animation.status, animation.frames_done) == ("successful", FRAMES)
         assert film_of(animation) == b"0,1,2,3,"
-        assert animation.film_bytes == animations.kept_bytes == 8
+        assert animation.film_bytes == animations.cached_bytes == 8
         assert animation.created <= animation.started <= animation.finished  # type: ignore[operator]
         assert studio.closed == 1
 
@@ -129,7 +129,7 @@ def test_one_frame_at_most_is_drawn_ahead():
 
         animations._encode = slow
         animation = ask(animations, order(frames=10))
-        studio.let_go(10)
+        studio.release(10)
         await until(lambda: animation.frames_done == 2)
         for _ in range(20):
             await asyncio.sleep(0)
@@ -144,7 +144,7 @@ def test_the_same_order_is_the_same_animation_while_it_is_drawn_and_kept():
     async def scenario(animations: Animations, studio: Studio) -> None:
         first = ask(animations, order())
         assert ask(animations, order()) is first and ask(animations, order(1)) is not first
-        studio.let_go(FRAMES)
+        studio.release(FRAMES)
         await until(lambda: first.ended)
         assert ask(animations, order()) is first
         animations.dismiss(first, "enough")
@@ -157,7 +157,7 @@ def test_they_are_drawn_in_the_order_in_which_they_came():
     async def scenario(animations: Animations, studio: Studio) -> None:
         first, second, third = (ask(animations, order(number)) for number in range(3))
         for done in range(1, 3 * FRAMES + 1):
-            studio.let_go(1)
+            studio.release(1)
             await until(lambda done=done: sum(each.frames_done for each in (first, second, third)) == done)
             if done == FRAMES - 1:
                 assert [each.status for each in (first, second, third)] == ["running", "accepted", "accepted"]
@@ -173,7 +173,7 @@ def test_seconds_left_count_those_before():
         first, second = ask(animations, order(0)), ask(animations, order(1, frames=2))
         assert animations.seconds_left(first) == 8.0
         assert animations.seconds_left(second) == 12.0
-        studio.let_go(FRAMES)
+        studio.release(FRAMES)
         await until(lambda: first.ended)
         assert animations.seconds_left(first) == 0.0
 
@@ -183,7 +183,7 @@ def test_seconds_left_count_those_before():
 def test_more_than_may_wait_are_refused_and_told_when_to_come_back():
     async def scenario(animations: Animations, studio: Studio) -> None:
         first, second = ask(animations, order(0)), ask(animations, order(1))
-        with pytest.raises(LaterError) as refused:
+        with pytest.raises(RetryLaterError) as refused:
             ask(animations, order(2))
         assert refused.value.retry_after_s == 8, "as long as the first one takes"
         assert ask(animations, order(1)) is second, "what is there already takes no place"
@@ -196,12 +196,12 @@ def test_more_than_may_wait_are_refused_and_told_when_to_come_back():
 def test_a_dismissed_animation_stops_and_gives_its_place_away():
     async def scenario(animations: Animations, studio: Studio) -> None:
         first, second = ask(animations, order(0)), ask(animations, order(1))
-        studio.let_go(1)
+        studio.release(1)
         await until(lambda: first.frames_done == 1 and studio.drawing == 1)
         animations.dismiss(first, "enough")
         assert (first.status, first.message) == ("dismissed", "enough")
         await until(lambda: second.status == "running")
-        studio.let_go(FRAMES)
+        studio.release(FRAMES)
         await until(lambda: second.ended)
         assert film_of(second) == b"0,1,2,3,"
         assert first.frames_done == 1
@@ -216,13 +216,13 @@ def test_a_dismissed_animation_stops_and_gives_its_place_away():
 def test_a_dismissed_film_is_gone_but_for_those_who_read_it():
     async def scenario(animations: Animations, studio: Studio) -> None:
         animation = ask(animations, order())
-        studio.let_go(FRAMES)
+        studio.release(FRAMES)
         await until(lambda: animation.ended)
         assert animation.film is not None
         film = animation.film
         reading = film.reading(2, 6)
         animations.dismiss(animation, "enough")
-        assert (animation.film, animations.kept_bytes) == (None, 0)
+        assert (animation.film, animations.cached_bytes) == (None, 0)
         assert reading.chunk() + reading.chunk() == b"1,2,"
         assert film.closed and not film.gone
         for _ in range(2):
@@ -253,7 +253,7 @@ def test_what_is_asked_about_goes_on():
             before = animation.ending
             assert question() is animation
             assert before is not None and before.cancelled() and animation.ending is not before
-        studio.let_go(FRAMES)
+        studio.release(FRAMES)
         await until(lambda: animation.ended)
         assert animation.status == "successful"
 
@@ -263,7 +263,7 @@ def test_what_is_asked_about_goes_on():
 def test_films_go_after_an_age():
     async def scenario(animations: Animations, studio: Studio) -> None:
         animation = ask(animations, order())
-        studio.let_go(FRAMES)
+        studio.release(FRAMES)
         await until(lambda: animation.ended)
         await until(lambda: not animations.counts["successful"])
         with pytest.raises(NotServedError):
@@ -283,7 +283,7 @@ def test_a_film_that_is_larger_than_all_may_be_is_none():
 
         animations._encode = huge
         animation = ask(animations, order())
-        studio.let_go(FRAMES)
+        studio.release(FRAMES)
         await until(lambda: animation.ended)
         assert animation.status == "failed"
         assert "1048577 bytes" in str(animation.error) and "SKUGGA_ANIMATION_BYTES" in str(animation.error)
@@ -296,7 +296,7 @@ def test_the_oldest_films_go_where_there_are_too_many():
         made, films = [], []
         for number in range(3):
             made.append(ask(animations, order(number)))
-            studio.let_go(FRAMES)
+            studio.release(FRAMES)
             await until(lambda: made[-1].ended)
             films.append(made[-1].film)
         assert [film.gone for film in films] == [True, False, False]
@@ -319,11 +319,11 @@ def test_the_oldest_films_go_where_they_are_too_large():
         films = []
         for number in range(2):
             last = ask(animations, order(number))
-            studio.let_go(FRAMES)
+            studio.release(FRAMES)
             await until(lambda last=last: last.ended)
             films.append(last.film)
         assert [film.gone for film in films] == [True, False]
-        assert animations.kept_bytes == 600_000
+        assert animations.cached_bytes == 600_000
 
     with_animations(scenario, animation_bytes=2**20)
 
@@ -345,11 +345,11 @@ def test_one_that_fails_says_why_and_the_next_one_is_drawn(raised: Exception, to
         else:
             studio.encoder_fails = raised
         first, second = ask(animations, order(0)), ask(animations, order(1))
-        studio.let_go(2)
+        studio.release(2)
         await until(lambda: first.ended)
         assert (first.status, type(first.error), first.film) == ("failed", told, None)
         studio.fails_at, studio.encoder_fails = {}, None
-        studio.let_go(FRAMES)
+        studio.release(FRAMES)
         await until(lambda: second.ended)
         assert second.status == "successful"
         assert ask(animations, order(0)) is not first, "it is tried again"
@@ -372,7 +372,7 @@ def test_a_service_that_stops_ends_all_of_them():
 
     async def scenario(animations: Animations, studio: Studio) -> None:
         first, second = ask(animations, order(0)), ask(animations, order(1))
-        studio.let_go(1)
+        studio.release(1)
         await asyncio.to_thread(studio.encoding.wait, SOON_S)
         await animations.close()
         assert (first.status, second.status) == ("dismissed", "dismissed")

@@ -82,8 +82,8 @@ def test_one_block_where_it_shows_much_of_a_level_else_several(gl, hills_level: 
     scene = build_scene(load_level(hills_level))
     scales = probed_scales(scene)
     coarse_m, fine_m = 2.0 ** scales[-1], 2.0 ** scales[0]
-    assert len(map_probing.probed_places(scene, coarse_m)) == 1
-    places = map_probing.probed_places(scene, fine_m)
+    assert len(map_probing.probe_centers(scene, coarse_m)) == 1
+    places = map_probing.probe_centers(scene, fine_m)
     assert len(places) == 3 and places[0] == (0.5, 0.5)
     alone = probe_blocks(scene, coarse_m, typical_device(), budget_s=1.0)
     several = probe_blocks(scene, fine_m, typical_device(), budget_s=1.0)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skugga.api.film_span import USUAL_FPS
+from skugga.api.film_span import DEFAULT_FPS
 from skugga.selector.film import film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest, FilmSpan
 from skugga.selector.replanning import Replanner
@@ -82,7 +82,7 @@ def test_size_and_time_are_told_after_the_first_frames(gl, run, folder):
     lines = err.splitlines()
     (first, *_) = (n for n, line in enumerate(lines) if line.startswith("41 frames: about "))
     assert status == 0 and 4 < first < 20
-    size, unit = re.fullmatch(r"41 frames: about ([0-9.]+) (kB|MB) in all, [0-9]+ (s|minutes) left", lines[first]).groups()[:2]
+    size, unit = re.fullmatch(r"41 frames: about ([0-9.]+) (kB|MB) in total, [0-9]+ (s|minutes) left", lines[first]).groups()[:2]
     said = float(size) * {"kB": 1e3, "MB": 1e6}[unit]
     assert said == pytest.approx((folder / "film.webp").stat().st_size, rel=0.5)
 
@@ -147,7 +147,10 @@ def test_a_sun_and_a_camera_that_move_together(gl, run, folder):
         (("--step", "10m", "-o", "film.webp"), "from: missing"),
         (("--path", "none.yaml", "-o", "film.webp"), "none.yaml: No such file"),
         (("--path", "camera.yaml", "--view", "eye", "-o", "film.webp"), "--view: cannot be combined with --path"),
-        (("--path", "camera.yaml", "--stats", "camera.yaml", "-o", "film.webp"), "--stats: camera.yaml is the same file as the input camera.yaml"),
+        (
+            ("--path", "camera.yaml", "--stats", "camera.yaml", "-o", "film.webp"),
+            "--stats: camera.yaml is the same file as the input camera.yaml",
+        ),
         (
             ("--path", "low.yaml", "-o", "film.webp"),
             "path, frame 10 (0.36 s): eye: the camera goes under the ground, -0.319 m above it",
@@ -247,5 +250,5 @@ def test_on_a_terminal_there_is_a_bar_with_the_time_left(gl, folder):
 
 def test_the_usual_rate_is_that_of_the_help(run):
     status, out, _ = run("render", "--help")
-    assert status == 0 and f"default: {USUAL_FPS:g}" in " ".join(out.split())
+    assert status == 0 and f"default: {DEFAULT_FPS:g}" in " ".join(out.split())
     assert all(option in out for option in ("--from", "--to", "--step", "--path", "--fps"))

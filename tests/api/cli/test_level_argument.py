@@ -16,7 +16,7 @@ from skugga.api.http.server import server
 from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.products.mask import MASK_NO_SURFACE, MASK_SHADOW
 from skugga.api.settings import Settings
-from skugga.api.workers.spawned import Spawned
+from skugga.api.workers.piped_process import Spawned
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource

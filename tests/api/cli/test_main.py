@@ -29,19 +29,19 @@ def test_render_writes_every_layer(gl, run, tmp_path):
         status, out, err = run("render", "jacksboro", *SMALL, "--layer", layer, "-o", str(path))
         assert (status, out, err) == (0, "", "")
         arrays[layer] = np.load(path) if suffix == "npy" else np.asarray(Image.open(path))
-    there = np.isfinite(arrays["visibility"])
-    assert 0.5 < there.mean() < 1.0
+    valid = np.isfinite(arrays["visibility"])
+    assert 0.5 < valid.mean() < 1.0
     assert arrays["visibility"].dtype == np.float32 and arrays["position"].dtype == np.float64
     assert arrays["position"].shape == (100, 96, 3) and arrays["color"].shape == (100, 96, 4)
     assert set(np.unique(arrays["mask"])) == {MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT}
-    np.testing.assert_array_equal(arrays["mask"] == MASK_NO_SURFACE, ~there)
-    np.testing.assert_array_equal(arrays["mask"][there] == MASK_SHADOW, arrays["visibility"][there] < 0.5)
-    expected = np.rint(255 * (1 - np.where(there, arrays["visibility"], 1)))
+    np.testing.assert_array_equal(arrays["mask"] == MASK_NO_SURFACE, ~valid)
+    np.testing.assert_array_equal(arrays["mask"][valid] == MASK_SHADOW, arrays["visibility"][valid] < 0.5)
+    expected = np.rint(255 * (1 - np.where(valid, arrays["visibility"], 1)))
     np.testing.assert_array_equal(arrays["shadow"][..., 3], expected)
     assert (arrays["shadow"][..., :3] == 0).all()
-    np.testing.assert_array_equal(arrays["color"][..., 3] == 255, there)
-    np.testing.assert_array_equal(np.isfinite(arrays["position"][..., 2]), there)
-    highest = (arrays["depth"] + arrays["position"][..., 2])[there]
+    np.testing.assert_array_equal(arrays["color"][..., 3] == 255, valid)
+    np.testing.assert_array_equal(np.isfinite(arrays["position"][..., 2]), valid)
+    highest = (arrays["depth"] + arrays["position"][..., 2])[valid]
     assert np.ptp(highest) < 1e-3 and np.nanmin(arrays["depth"]) >= 0
 
 
@@ -123,8 +123,8 @@ def test_options_change_the_picture(gl, run, tmp_path):
         (("render", "jacksboro", "--bounds", "741000,4008000,741000.0000001,4008000.0000001", "-o", "x.png"), ("bounds",)),
         (("render", "jacksboro", "--crs", "4326", "--bounds", "0,-100,1,0", "-o", "x.png"), ("bounds", "-90 to 90")),
         (("render", "jacksboro", "--time", "0001-01-01T00:00:00+14:00", "-o", "x.png"), ("time", "1678")),
-        (("render", "jacksboro", "--bounds", "0,0,1000,1000", "-o", "x.png"), ("bounds", "UTM zone 16N", "its own: 73")),
-        (("render", "jacksboro", "--crs", "4326", "--bounds", "8,47,9,48", "-o", "x.png"), ("bounds", "WGS 84", "its own: -84")),
+        (("render", "jacksboro", "--bounds", "0,0,1000,1000", "-o", "x.png"), ("bounds", "UTM zone 16N", "which are 73")),
+        (("render", "jacksboro", "--crs", "4326", "--bounds", "8,47,9,48", "-o", "x.png"), ("bounds", "WGS 84", "which are -84")),
         (("validate", "nowhere.yaml"), ("nowhere.yaml",)),
         (("frobnicate",), ("frobnicate",)),
     ],

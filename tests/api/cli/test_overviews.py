@@ -25,7 +25,7 @@ def a_small_raster_is_big(monkeypatch):
     monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 300_000)
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 300_000)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
-    monkeypatch.setattr(overview, "MOST_CELLS_READ", 500_000)
+    monkeypatch.setattr(overview, "MAX_CELLS_READ", 500_000)
 
 
 def relief(dtype=np.int16) -> np.ndarray:
@@ -104,11 +104,11 @@ def test_what_is_no_height_is_in_no_mean(run, tmp_path, marked, dtype):
     for level in range(5):
         with rasterio.open(path, OVERVIEW_LEVEL=level) as dataset:
             found = dataset.read(1, masked=True).astype(float).filled(np.nan)
-        there = (found >= 200) & (found <= 1200)
-        assert np.isnan(found[~there]).all() or (found[~there] == SENTINEL).all()
+        valid = (found >= 200) & (found <= 1200)
+        assert np.isnan(found[~valid]).all() or (found[~valid] == SENTINEL).all()
         side = 2 ** (level + 1)
         inside = max(200 / side - 2, 0) ** 2, (200 / side + 1) ** 2  # a cell with a height below it has one
-        assert inside[0] <= (~there).sum() <= inside[1]
+        assert inside[0] <= (~valid).sum() <= inside[1]
     elevation = Elevation(str(path))
     assert np.nanmin(elevation.overview.heights_m) >= 199.0
 
@@ -188,7 +188,7 @@ def test_older_ones_that_are_too_few_are_replaced_whole(run, tmp_path, tmp_path_
 
 def test_parts_cover_the_raster_once():
     seen = np.zeros((1300, 9000), int)
-    for window in module._parts(*seen.shape):
+    for window in module._tile_windows(*seen.shape):
         assert isinstance(window, Window) and window.row_off % 512 == window.col_off % 512 == 0
         seen[window.toslices()] += 1
     assert (seen == 1).all()

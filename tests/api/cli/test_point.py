@@ -137,7 +137,10 @@ def test_a_gpx_is_a_track_and_its_points_have_times(run, valley, tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("p.csv", "lon,lat,time\n15.0,47.5,2024-10-21T08:00\n", "p.csv: line 2: the time '2024-10-21T08:00' is not allowed. Allowed: an ISO 8601"),
+        (
+            "p.csv", "lon,lat,time\n15.0,47.5,2024-10-21T08:00\n",
+            "p.csv: line 2: the time '2024-10-21T08:00' is not allowed. Allowed: an ISO 8601",
+        ),
         ("p.csv", "lon,lat\n15.0,47.5\n15.0,north\n", "p.csv: line 3: 15.0,north has no valid coordinates or height. Give numbers"),
         (
             "p.geojson",

@@ -90,7 +90,7 @@ def test_options_change_the_plan_and_are_named_in_it(gl, run):
     [
         (("--policy", "guess"), ("--policy", "guess", "rules, predict, probe, measure")),
         (("--policy", "rules", "--budget", "3s"), ("--budget", "cannot be combined with --policy rules")),
-        (("--policy", "probe", "--budget", "soon"), ("--budget", "soon", "a number and s, m, h or d")),
+        (("--policy", "probe", "--budget", "soon"), ("--budget", "soon", "a number and a unit, s, m, h or d")),
         (("--view", "ridge"), ("view", "ridge", "map")),
         (("--max-error", "-0.01"), ("max_error", "greater than or equal to 0")),
         (("--max-error", "2"), ("max_error", "2.0", "less than or equal to 1")),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from skugga.api.cli.times import suns_of
+from skugga.api.cli.times import suns_from_options
 from skugga.terrain.errors import InputError
 from tests.rasters import write_geotiff
 
@@ -100,11 +100,11 @@ def test_like_tells_where_it_does_not_meet_the_level(run, raster, tmp_path, comm
 
 
 def test_times_from_to_by_steps():
-    suns = suns_of(None, None, "2024-03-21T08:00+01:00", "2024-03-21T09:00+01:00", "15m")
+    suns = suns_from_options(None, None, "2024-03-21T08:00+01:00", "2024-03-21T09:00+01:00", "15m")
     assert [sun.time.isoformat() for sun in suns if sun] == [f"2024-03-21T08:{m:02}:00+01:00" for m in (0, 15, 30, 45)] + [
         "2024-03-21T09:00:00+01:00"
     ]
-    assert suns_of(None, None, None, None, None) == [None]
+    assert suns_from_options(None, None, None, None, None) == [None]
 
 
 @pytest.mark.parametrize(
@@ -117,4 +117,4 @@ def test_times_from_to_by_steps():
 )  # fmt: skip
 def test_times_that_are_none(given):
     with pytest.raises(InputError):
-        suns_of(*given)
+        suns_from_options(*given)

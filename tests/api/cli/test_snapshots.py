@@ -133,10 +133,10 @@ def test_the_light_of_the_query_is_whose_shadow_is_shown(yards: Client):
     assert np.array_equal(own, sun)
     assert (sun != lamp).mean() > 0.01
     assert np.array_equal(lamp == MASK_NO_SURFACE, sun == MASK_NO_SURFACE)
-    before = yards.service.pool.tally.answered
+    before = yards.service.pool.counters.answered
     sunlit, lamplit = (yards.get(f"{YARD}.png", params={"view": "across", **query}) for query in ({}, {"light": "lamp"}))
     assert sunlit.content == lamplit.content  # light is of shadow and mask: colour is under all lights
-    assert yards.service.pool.tally.answered - before <= 1
+    assert yards.service.pool.counters.answered - before <= 1
 
 
 def test_a_level_without_a_sun_shows_its_lamp(yards: Client):
@@ -203,7 +203,7 @@ def test_volumes_of_the_query(yards: Client):
 def test_what_the_client_has_costs_no_rendering(yards: Client):
     query = {"view": "across", "size": "40x30", "seconds": 0.25}
     tag = yards.get(f"{YARD}.png", params=query).headers["etag"]
-    before = yards.service.pool.tally.answered
+    before = yards.service.pool.counters.answered
     for given in (tag, f'"other", W/{tag}', "*"):
         answer = yards.get(f"{YARD}.png", params=query, headers={"If-None-Match": given})
         assert (answer.status_code, answer.content, answer.headers["etag"]) == (304, b"", tag)
@@ -213,7 +213,7 @@ def test_what_the_client_has_costs_no_rendering(yards: Client):
     assert (head.status_code, head.content) == (200, b"")
     for name in ("etag", "content-length", "content-type", "cache-control"):
         assert head.headers[name] == again.headers[name]
-    assert yards.service.pool.tally.answered == before
+    assert yards.service.pool.counters.answered == before
 
 
 def test_tags_tell_pictures_apart(yards: Client):
@@ -223,11 +223,11 @@ def test_tags_tell_pictures_apart(yards: Client):
         "png?view=across&azimuth=1&altitude=20", "png?view=across&algorithm=none", "png?view=across&filter=1",
         "png?view=across&stencil=two_pass", "png?view=across&counting=z_fail", "png?view=across&mask=original",
     ]  # fmt: skip
-    tags = [tag_of(yards, f"{YARD}.{query}") for query in [*queries, *queries]]
+    tags = [entity_tag(yards, f"{YARD}.{query}") for query in [*queries, *queries]]
     assert len(set(tags)) == len(queries)
 
 
-def tag_of(client: Client, address: str) -> str:
+def entity_tag(client: Client, address: str) -> str:
     """The tag of a picture that is not drawn for it."""
     answer = client.get(address, headers={"If-None-Match": "*"})
     assert answer.status_code == 304
@@ -235,13 +235,13 @@ def tag_of(client: Client, address: str) -> str:
 
 
 def test_equal_snapshots_at_once_are_one_render(yards: Client):
-    before = yards.service.pool.tally.answered
+    before = yards.service.pool.counters.answered
     query = {"view": "across", "azimuth": 33, "altitude": 44}  # that nobody has asked for yet
     with ThreadPoolExecutor(4) as threads:
         answers = list(threads.map(lambda _: yards.get(f"{YARD}.png", params=query), range(4)))
     assert len({answer.content for answer in answers}) == 1
     assert [answer.status_code for answer in answers] == [200] * 4
-    assert yards.service.pool.tally.answered - before == 1
+    assert yards.service.pool.counters.answered - before == 1
 
 
 @pytest.mark.parametrize(
@@ -314,7 +314,7 @@ def test_pixels_are_bounded_by_a_setting(serve_with):
     for query in ("", "?size=101x100"):  # the view's own size is no way round it
         problem = check_problem(client.get(f"/levels/hills/snapshot.png{query}"), 422, "invalid_parameter", "size")
         assert "10000" in problem["detail"] and "SKUGGA_MAX_SNAPSHOT_PIXELS" in problem["detail"]
-    assert tag_of(client, "/levels/hills/snapshot.png?size=100x100")
+    assert entity_tag(client, "/levels/hills/snapshot.png?size=100x100")
 
 
 def test_a_snapshot_that_takes_too_long(serve_with):
@@ -334,7 +334,7 @@ def test_a_second_snapshot_is_refused_until_its_client_leaves(serve_with):
         assert int(refused.headers["retry-after"]) >= 1
     while pool.queued:
         client.get("/healthz")
-    assert pool.tally.abandoned == 1
+    assert pool.counters.abandoned == 1
 
 
 def test_a_view_that_cannot_be_drawn_is_the_operators_fault(tmp_path: Path, caplog: pytest.LogCaptureFixture):
@@ -359,11 +359,11 @@ def test_a_changed_forest_is_another_picture(tmp_path: Path):
         while not client.service.pool.ready:
             client.get("/readyz")
         address = f"{YARD}.png?view=across"
-        before = tag_of(client, address)
-        assert tag_of(client, address) == before
+        before = entity_tag(client, address)
+        assert entity_tag(client, address) == before
         later = stand.stat().st_mtime_ns + 10**9
         os.utime(stand, ns=(later, later))
-        after = tag_of(client, address)
+        after = entity_tag(client, address)
     assert after != before
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import rasterio
 
-from skugga.api.cli.level_argument import _find_named
+from skugga.api.cli.level_argument import _named_level_source
 from skugga.api.http import answers
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state.served_levels import ServedLevels
@@ -47,7 +47,7 @@ def test_redirects_lead_to_where_they_were_asked_without_one(serve_with):
 def test_long_documents_are_compressed_for_who_takes_that(
     serve_with, monkeypatch: pytest.MonkeyPatch, accepted: str, is_packed: bool
 ):
-    monkeypatch.setattr(answers, "LEAST_PACKED_BYTES", 1000)
+    monkeypatch.setattr(answers, "MIN_GZIP_BYTES", 1000)
     client = serve_with(fake_workers.obedient)
     for path in ("/wms?REQUEST=GetCapabilities", "/wmts/1.0.0/WMTSCapabilities.xml"):
         with client.stream("GET", path, headers={"Accept-Encoding": accepted}) as answer:
@@ -75,7 +75,7 @@ def test_two_rasters_of_one_file_name_are_served_by_names_of_their_own(tmp_path:
     second = Path(shutil.copy(first, tmp_path / "other" / "dem.tif"))
     with pytest.raises(InputError, match="NAME=FILE"):
         ServedLevels([first, second])
-    levels = ServedLevels([first, _find_named(f"other={second}", NO_OPTIONS)])
+    levels = ServedLevels([first, _named_level_source(f"other={second}", NO_OPTIONS)])
     assert levels.names() == ["dem", "other"]
     assert levels.get("other").key.name == "other" and levels.get("dem").key.name is None
 
@@ -83,13 +83,13 @@ def test_two_rasters_of_one_file_name_are_served_by_names_of_their_own(tmp_path:
 @pytest.mark.parametrize("text", ["=dem.tif", "a/b=dem.tif", "ü=dem.tif", ".=dem.tif"])
 def test_a_name_is_one_that_addresses_have(text: str):
     with pytest.raises(InputError, match="NAME"):
-        _find_named(text, NO_OPTIONS)
+        _named_level_source(text, NO_OPTIONS)
 
 
 def test_a_file_with_a_sign_of_equality_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = write_level(tmp_path, "a=b").with_suffix(".tif")
     monkeypatch.chdir(tmp_path)
-    assert _find_named("a=b.tif", NO_OPTIONS) == LevelSource(path=path.relative_to(tmp_path))
+    assert _named_level_source("a=b.tif", NO_OPTIONS) == LevelSource(path=path.relative_to(tmp_path))
 
 
 def test_a_point_in_a_hole_does_not_blame_the_bounds(tmp_path: Path):

@@ -220,7 +220,7 @@ def test_films_go_after_their_age(serve_with):
     while (state := client.get(answer.headers["location"])).status_code == 200:
         pass
     check_problem(state, 404, "not_found", "animation")
-    assert client.service.animations.kept_bytes == 0
+    assert client.service.animations.cached_bytes == 0
 
 
 def test_more_than_may_wait_are_503_and_told_when_to_come_back(gated):
@@ -329,10 +329,10 @@ def test_a_service_that_stops_leaves_nothing(hills_level: Path):
                 go.release()
             addresses = [each.result().headers["location"] for each in asked]
         animations = client.service.animations
-        going = list(animations._going.values())
+        going = list(animations._active.values())
     assert {each.id for each in going} == {address.rpartition("/")[2] for address in addresses}
     assert [each.status for each in going] == ["dismissed", "dismissed"]
-    assert animations.kept_bytes == 0 and not animations.counts["successful"]
+    assert animations.cached_bytes == 0 and not animations.counts["successful"]
 
 
 @pytest.mark.parametrize(
@@ -345,7 +345,7 @@ def test_a_service_that_stops_leaves_nothing(hills_level: Path):
         ({"to": "10m"}, "to", "both"),
         ({"to": "2924-06-21T15:00:00+02:00", "step": "300000d"}, "to", "years"),
         ({"step": None}, "step", "missing"),
-        ({"step": "often"}, "step", "a number and s, m, h or d"),
+        ({"step": "often"}, "step", "a number and a unit, s, m, h or d"),
         ({"step": "0s"}, "step", "at least"),
         ({"step": "1s"}, "step", "limit of 720 frames"),
         ({"step": 5}, "step", "a valid string"),
@@ -391,7 +391,7 @@ def test_a_body_that_is_none(filming: Client):
 
 
 def test_mp4_is_refused_where_there_is_no_encoder_of_it(filming: Client, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("skugga.api.http.views.asked_animation.find_spec", lambda name: None)
+    monkeypatch.setattr("skugga.api.http.views.animation_request.find_spec", lambda name: None)
     problem = check_problem(filming.post(ADDRESS, json=ASKED | {"format": "mp4"}), 422, "invalid_parameter", "format")
     assert "no encoder of mp4" in problem["detail"]
 
@@ -435,7 +435,7 @@ def test_metrics_count_them(filming: Client):
     text = filming.get("/metrics").text
     assert 'skugga_animations{status="successful"} 1.0' in text
     assert 'skugga_animations_ended_total{status="successful"} 1.0' in text
-    assert f'skugga_cache_bytes{{cache="films"}} {float(filming.service.animations.kept_bytes)}' in text
+    assert f'skugga_cache_bytes{{cache="films"}} {float(filming.service.animations.cached_bytes)}' in text
     assert 'route="/animations/{animation}"' in text
 
 

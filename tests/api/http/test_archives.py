@@ -20,7 +20,7 @@ from skugga.api.errors import ArchiveError
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state import archive_file
 from skugga.api.http.state.archive_file import ArchiveFile
-from skugga.api.http.state.served_archives import in_utc
+from skugga.api.http.state.served_archives import with_utc_time
 from skugga.api.seed.archive import first_tile_id
 from skugga.api.settings import Settings
 from skugga.terrain.errors import InputError, LevelError
@@ -64,7 +64,7 @@ def serve(tmp_path: Path) -> Callable[..., object]:
 
 def drawn(client: Client) -> int:
     """How many blocks render processes have drawn."""
-    return client.service.pool.tally.answered
+    return client.service.pool.counters.answered
 
 
 def test_a_level_s_archived_tile_is_the_rendered_one(client: Client, serve, tmp_path: Path):
@@ -192,8 +192,8 @@ def test_a_replaced_archive_is_gone_over_to(serve, tmp_path: Path, capfd):
         until(by_drawing)
         assert client.service.levels.known()[0].version == version
     said = capfd.readouterr().err
-    assert said.count("a.pmtiles: a PMTiles archive of version 2;") == 1, "told once"
-    assert said.count("a.pmtiles: No such file") == 1 and "its tiles are rendered" in said and "opened anew" in said
+    assert said.count("a.pmtiles: a PMTiles archive of version 2.") == 1, "told once"
+    assert said.count("a.pmtiles: No such file") == 1 and "Its tiles are rendered." in said and "was reopened" in said
 
 
 def test_tiles_of_the_same_bytes_keep_answers_of_their_own(serve, tmp_path: Path):
@@ -360,7 +360,7 @@ def test_an_archive_that_others_wrote(tmp_path: Path):
             writer.write_tile(number, tile_of(number % 97 if number % 3 else 5))
         writer.finalize({"tile_type": TileType.WEBP, "tile_compression": Compression.UNKNOWN}, {})
     archive = ArchiveFile(path)
-    assert (archive.format, archive.of_skugga, archive.metadata) == ("webp", {}, {})
+    assert (archive.format, archive.skugga_metadata, archive.metadata) == ("webp", {}, {})
     with path.open("rb") as file:
         assert all(archive.tile(*place) == body for place, body in all_tiles(MmapSource(file)))
     assert archive.tile(*tileid_to_zxy(5001)) is None
@@ -389,7 +389,7 @@ def test_a_leaf_that_is_broken_is_told_of_at_the_start_or_when_it_is_read(tmp_pa
     path.write_bytes(content[: at + length - 2000] + bytes(2000) + content[at + length :])
     with pytest.raises(ArchiveError, match="broken directories"):
         ArchiveFile(path)
-    monkeypatch.setattr(archive_file, "CHECKED_LEAVES", 0)
+    monkeypatch.setattr(archive_file, "CHECKED_LEAF_BYTES", 0)
     archive = ArchiveFile(path)
     assert archive.tile(*place_of(7 * 7 - 1)) == tiles[place_of(48)]
     with pytest.raises(ArchiveError, match=r"a\.pmtiles: broken directories"):
@@ -413,4 +413,4 @@ def test_files_are_closed(tmp_path: Path):
     ],
 )  # fmt: skip
 def test_one_instant_has_one_spelling(query: str, expected: str):
-    assert in_utc(query) == expected
+    assert with_utc_time(query) == expected

@@ -125,8 +125,8 @@ def test_wms(client: Client, tmp_path, layer):
     moment = {"date": time} if layer == "sunhours" else {"time": time}
     asked = {"bbox": ",".join(map(repr, BOUNDS)), "crs": "EPSG:3857", "width": str(SIDE), "layer": layer, **moment}
     expected = picture(client, "/levels/timed/map.png", **asked)
-    there = (expected[..., 3] == 255) if layer != "shadow" else np.ones(expected.shape[:2], bool)
-    assert there.sum() > 100_000 and np.array_equal(seen.pixels[there], expected[there])
+    valid = (expected[..., 3] == 255) if layer != "shadow" else np.ones(expected.shape[:2], bool)
+    assert valid.sum() > 100_000 and np.array_equal(seen.pixels[valid], expected[valid])
 
 
 def test_wms_in_latitude_and_longitude(client: Client, tmp_path):
@@ -142,5 +142,5 @@ def test_wms_in_latitude_and_longitude(client: Client, tmp_path):
     seen = read(tmp_path, "WMS", description)
     asked = {"bbox": f"{west},{south},{east},{north}", "crs": "EPSG:4326", "width": "128", "height": "128"}
     expected = picture(client, "/levels/timed/map.png", **asked)
-    there = expected[..., 3] == 255
-    assert there.sum() > 5_000 and np.array_equal(seen.pixels[there], expected[there])
+    valid = expected[..., 3] == 255
+    assert valid.sum() > 5_000 and np.array_equal(seen.pixels[valid], expected[valid])

@@ -92,9 +92,9 @@ def test_rules_first_then_predictions(serve: Serve, tmp_path: Path, caplog: pyte
     assert client.get(OTHER_TILE).text == version
 
     until(lambda: load_profile(fake_workers.RENDERER, fake_workers.VERSION) is not None)
-    until(lambda: said(caplog, "kept in") == 1)
+    until(lambda: said(caplog, "saved to") == 1)
     assert said(caplog, "is not calibrated, so fixed rules choose until it is") == 1
-    assert said(caplog, "was read") == 0, "its own file is no news"
+    assert said(caplog, "was loaded") == 0, "its own file is no news"
 
 
 def test_a_kept_calibration_is_used_from_the_start(serve: Serve, tmp_path: Path):
@@ -119,7 +119,7 @@ def test_what_is_calibrated_by_hand_is_taken_up(serve: Serve, tmp_path: Path, ca
         versions.append(pool.plan_version(None))
         assert client.get(TILE).text == versions[-1] and policy(client) == "predict"
     until(lambda: not alive(pid))  # what was measured meanwhile is not wanted any more
-    assert said(caplog, "was read") == 2
+    assert said(caplog, "was loaded") == 2
     profile_path(fake_workers.RENDERER, fake_workers.VERSION).unlink()
     time.sleep(0.1)
     assert pool.plan_version(None) == versions[-1]
@@ -137,12 +137,13 @@ def test_a_folder_that_cannot_be_written(serve: Serve, tmp_path: Path, caplog: p
     assert version and state(client) == "calibrated"
     for place in (TILE, PLAN, OTHER_TILE):  # also in processes that are started later
         assert client.get(place).text in (version, '{"policy":"predict"}')
-    assert client.service.pool.tally.started > 1
+    assert client.service.pool.counters.started > 1
     assert said(caplog, "cannot be written") == 1
 
 
 @pytest.mark.parametrize(("measure", "reason"), list(zip(
-    BROKEN, ["libEGL is broken", "its process ended with exit status 9", "ZeroDivisionError: division by zero", "of another device"],
+    BROKEN, ["libEGL is broken", "its process ended with exit status 9", "ZeroDivisionError: division by zero",
+             "of another device"],
     strict=True,
 )))  # fmt: skip
 def test_a_failure_is_told_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture, measure, reason: str):
@@ -157,7 +158,7 @@ def test_a_failure_is_told_once(serve: Serve, tmp_path: Path, caplog: pytest.Log
 
 
 def test_one_that_takes_too_long_is_given_up(serve: Serve, tmp_path: Path, monkeypatch, caplog: pytest.LogCaptureFixture):
-    monkeypatch.setattr(idle_work, "LONGEST_S", 0.2)
+    monkeypatch.setattr(idle_work, "JOB_TIMEOUT_S", 0.2)
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     until(lambda: state(client) == "failed")
     assert said(caplog, "it took longer than 0.2 s") == 1 and client.service.pool.idle.pid is None

@@ -93,7 +93,7 @@ def test_a_look_that_never_comes_back_is_left_to_itself(monkeypatch: pytest.Monk
         level = check(looks, wait_s=0.01)
         for _ in range(20):
             assert await level.current() == "old"
-        assert looks.begun == level_checks.MOST_LOST + 1, "a thread each: not without end"
+        assert looks.begun == level_checks.MAX_ABANDONED + 1, "a thread each: not without end"
         looks.go.set()
 
     asyncio.run(scenario())
@@ -119,7 +119,7 @@ def test_moments_without_a_thread_cost_no_later_look(monkeypatch: pytest.MonkeyP
         looks = Looks()
         looks.go.set()
         level = check(looks, wait_s=30.0)
-        for _ in range(2 * level_checks.MOST_LOST):
+        for _ in range(2 * level_checks.MAX_ABANDONED):
             with no_threads(monkeypatch):
                 assert await asyncio.wait_for(level.current(), 1.0) == "old"
         assert await level.current() == "new"

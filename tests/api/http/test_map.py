@@ -47,9 +47,9 @@ def test_a_map_of_a_tiles_extent_is_the_tile(client: Client, layer: str):
 def test_it_has_a_tag_before_it_is_drawn(client: Client):
     asked = {"bbox": EDGES, "crs": "EPSG:3857", "width": 64, "height": 64, "layer": "shadow"}
     answer = client.get(f"{MAP}.png", params=asked)
-    before = client.service.pool.tally.answered
+    before = client.service.pool.counters.answered
     known = client.get(f"{MAP}.png", params=asked, headers={"If-None-Match": answer.headers["etag"]})
-    assert (known.status_code, known.content, client.service.pool.tally.answered) == (304, b"", before)
+    assert (known.status_code, known.content, client.service.pool.counters.answered) == (304, b"", before)
     tags = {
         client.get(f"{MAP}.png", params={**asked, **more}).headers["etag"]
         for more in ({}, {"width": 65}, {"time": "2024-06-21T18:00:00Z"})

@@ -250,7 +250,7 @@ def test_two_minutes_of_requests_of_all_kinds(folder: Path, hills_level: Path, t
         ]  # fmt: skip
         ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=400)
         assert ended.returncode == 0, ended.stdout
-        assert client.service.pool.tally.failed == 0 and client.service.pool.tally.answered > 100
+        assert client.service.pool.counters.failed == 0 and client.service.pool.counters.answered > 100
 
 
 def test_methods_that_an_address_has(client: Client):

@@ -11,7 +11,7 @@ from prometheus_client.metrics_core import Metric
 from pydantic_core import PydanticUndefined
 
 from skugga.api.animations.animations import Animations
-from skugga.api.animations.drawing import frames_drawn_by, write_animation
+from skugga.api.animations.drawing import frame_renderer, write_animation
 from skugga.api.http.levels.sent_descriptor import MAX_BANDS, MAX_LAMPS
 from skugga.api.http.problems import problem_kinds
 from skugga.api.http.state.encoded_tiles import EncodedTiles
@@ -60,7 +60,7 @@ def problems_table() -> str:
 def families() -> list[Metric]:
     settings = Settings(workers=1)
     pool = Pool(settings)
-    animations = Animations(settings, frames_drawn_by(pool, None), write_animation)  # type: ignore[arg-type]
+    animations = Animations(settings, frame_renderer(pool, None), write_animation)  # type: ignore[arg-type]
     return list(ServiceMetrics(pool, EncodedTiles(1), animations).registry.collect())
 
 

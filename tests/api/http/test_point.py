@@ -48,7 +48,7 @@ def test_without_a_time_and_a_date_the_day_is_today(client: Client):
     assert 0 < int(answer.headers["cache-control"].partition("max-age=")[2]) <= 900
     later = datetime.now(UTC) + timedelta(days=1)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("skugga.api.http.moments.datetime", SimpleNamespace(now=lambda zone: later))
+        patched.setattr("skugga.api.http.request_times.datetime", SimpleNamespace(now=lambda zone: later))
         tomorrow = client.get(url, headers={"If-None-Match": answer.headers["etag"]})
     assert tomorrow.status_code == 200 and date.fromisoformat(tomorrow.json()["day"]["date"]) == later.date()
 

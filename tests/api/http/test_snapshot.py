@@ -64,7 +64,7 @@ def test_without_a_size_it_is_that_of_views_in_level_files(client: Client):
         ({"eye": EYE, "target": TARGET, "fov": "180"}, "fov", "179"),
         ({"eye": EYE, "target": TARGET, "fov": "wide"}, "fov", "a number"),
         ({"eye": EYE, "target": TARGET, "view": "map"}, "view", "cannot be combined with eye and target"),
-        ({"eye": EYE, "target": TARGET, "size": "9000x9000"}, "size", "WxH"),
+        ({"eye": EYE, "target": TARGET, "size": "9000x9000"}, "size", "WIDTHxHEIGHT"),
     ],
 )
 def test_what_is_wrong_is_named(client: Client, asked: dict[str, str], parameter: str, said: str):

@@ -57,14 +57,14 @@ def test_formats(client: Client, format: str, layer: str, mode: str, kind: str):
 def test_layers_say_the_same(client: Client):
     color, shadow, mask = (pixels(client.get(TILE, params={"layer": layer})) for layer in ("color", "shadow", "mask"))
     assert {0, 255} <= set(np.unique(mask)) <= {0, 128, 255}
-    there = mask != 128
-    assert there.any() and not there.all()  # the data ends in this tile
-    assert (color[..., 3] == np.where(there, 255, 0)).all()
+    valid = mask != 128
+    assert valid.any() and not valid.all()  # the data ends in this tile
+    assert (color[..., 3] == np.where(valid, 255, 0)).all()
     assert (shadow[..., :3] == 0).all()
     alpha = shadow[..., 3]
-    assert (mask[alpha == 255] == 0).all() and (mask[there & (alpha == 0)] == 255).all()  # edges are anti-aliased, masks are not
-    partly = there & (alpha > 0) & (alpha < 255)
-    assert 0.05 < partly[there].mean() < 0.12 and ((alpha > 127) == (mask == 0))[partly].mean() > 0.94
+    assert (mask[alpha == 255] == 0).all() and (mask[valid & (alpha == 0)] == 255).all()  # edges are anti-aliased, masks are not
+    partly = valid & (alpha > 0) & (alpha < 255)
+    assert 0.05 < partly[valid].mean() < 0.12 and ((alpha > 127) == (mask == 0))[partly].mean() > 0.94
 
 
 def test_webp_of_data_layers_is_without_loss(client: Client):
@@ -130,7 +130,7 @@ def test_another_matrix_set(client: Client):
 
 
 def test_off_the_data_is_transparent_and_costs_no_rendering(client: Client):
-    before = client.service.pool.tally.answered
+    before = client.service.pool.counters.answered
     far = f"{TILES}/{ZOOM}/{X + 50}/{Y}"
     assert not pixels(client.get(f"{far}.png")).any()
     assert pixels(client.get(f"{far}@2x.png", params={"layer": "shadow"})).shape == (512, 512, 4)
@@ -139,7 +139,7 @@ def test_off_the_data_is_transparent_and_costs_no_rendering(client: Client):
     answer = client.get(f"{far}.png")
     assert answer.headers["etag"] and "max-age" in answer.headers["cache-control"]
     assert answer.headers["x-skugga-algorithm"] == "none"
-    assert client.service.pool.tally.answered == before
+    assert client.service.pool.counters.answered == before
 
 
 def test_an_empty_tile_is_what_drawing_it_would_give(client: Client):
@@ -244,13 +244,13 @@ def test_other_origins_may_read(client: Client):
 
 
 def test_tiles_of_one_block_at_once_are_one_render(client: Client):
-    before = client.service.pool.tally.answered
+    before = client.service.pool.counters.answered
     places = [(X + i, Y + j) for i in range(2) for j in range(2)]
     query = {"azimuth": 245, "altitude": 19}  # that nobody has asked for yet
     with ThreadPoolExecutor(4) as threads:
         answers = list(threads.map(lambda xy: client.get(f"{TILES}/{ZOOM}/{xy[0]}/{xy[1]}.png", params=query), places))
     assert [answer.status_code for answer in answers] == [200] * 4
-    drawn = client.service.pool.tally.answered - before
+    drawn = client.service.pool.counters.answered - before
     assert drawn == 1
 
 
@@ -295,8 +295,8 @@ def test_a_tile_that_was_sent_is_sent_again_without_the_application(client: Clie
     assert (head.status_code, head.content, head.headers["content-length"]) == (200, b"", str(len(first.content)))
     known = client.get(TILE, params=query, headers={"If-None-Match": first.headers["etag"]})
     assert (known.status_code, known.content, known.headers["etag"]) == (304, b"", first.headers["etag"])
-    there = client.get(TILE, params=query, headers={"Origin": "https://a.example"})
-    assert there.headers["access-control-allow-origin"] == "*"
+    cross_origin = client.get(TILE, params=query, headers={"Origin": "https://a.example"})
+    assert cross_origin.headers["access-control-allow-origin"] == "*"
 
 
 def test_another_spelling_of_a_tile_is_not_encoded_anew(client: Client):
@@ -313,7 +313,7 @@ def test_a_tile_of_a_level_that_has_changed_is_drawn_anew(tmp_path):
         level.write_text(level.read_text(encoding="utf-8").replace("The hills", "Other hills"), encoding="utf-8")
         after = client.get(TILE)
         assert before.headers["etag"] == again.headers["etag"] != after.headers["etag"]
-        assert client.service.pool.tally.answered == 2
+        assert client.service.pool.counters.answered == 2
 
 
 def test_other_layers_and_formats_of_a_block_are_not_drawn_anew(client: Client):

@@ -62,10 +62,10 @@ def test_webp_and_double_tiles_have_the_same_digits(client: Client):
 
 
 def test_heights_hang_on_no_sun(client: Client):
-    before = client.service.pool.tally.answered
+    before = client.service.pool.counters.answered
     client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=terrain-rgb&azimuth=12.5&altitude=34")
     client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=terrain-rgb&azimuth=13.5&altitude=34")
-    assert client.service.pool.tally.answered <= before + 1
+    assert client.service.pool.counters.answered <= before + 1
     check_problem(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.jpg?layer=terrain-rgb"), 422, "invalid_parameter", "format")
 
 
@@ -123,8 +123,8 @@ def test_every_format_of_every_layer(client: Client, layer: str, suffix: str):
         if suffix not in FORMATS[layer]:
             said = check_problem(answer, 422, "invalid_parameter", "format")["detail"]
             assert (
-                said.endswith(f"for layer {layer}")
-                and set(said.split("allowed: ")[1].split(" for ")[0].split(", ")) == FORMATS[layer]
+                said.endswith(f"for layer {layer}.")
+                and set(said.split("Allowed: ")[1].split(" for ")[0].split(", ")) == FORMATS[layer]
             )
             continue
         shown = pixels(answer.content, suffix)

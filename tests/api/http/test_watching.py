@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from skugga.api.http.server.watching import LogLine, request_id
+from skugga.api.http.server.request_middleware import LogLine, request_id
 from tests.api.conftest import CORNER, ZOOM, Client
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers

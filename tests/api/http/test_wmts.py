@@ -15,7 +15,7 @@ from owslib.wmts import WebMapTileService
 from PIL import Image
 from pyproj import CRS
 
-from skugga.api.http.ogc.ogc_times import TimeDimension, date_asked, instant_asked, time_dimension
+from skugga.api.http.ogc.ogc_times import TimeDimension, requested_date, requested_instant, time_dimension
 from skugga.api.http.ogc.ogc_xml import lon_lat_box
 from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
@@ -289,16 +289,16 @@ def test_owslib_reads_it(client: Client):
 
 
 def test_times_that_are_asked_for():
-    assert [instant_asked(text, 0.0) for text in (None, "", "default")] == [None] * 3
-    assert instant_asked("2024-06-21T16:00:00Z", 7.0) == "2024-06-21T16:00:00Z"
-    assert instant_asked("2024-06-21T16:00", 7.0) == "2024-06-21T16:00Z"
-    assert instant_asked("2024-06-21T16:00:00+02:00/2024-06-22T00:00:00+02:00", 7.0) == "2024-06-21T16:00:00+02:00"
-    assert instant_asked("2024-06-21", -90.0) == "2024-06-21T18:00:00Z"  # the sun's noon, six hours after Greenwich's
-    assert instant_asked("2024-13-41", 0.0) == "2024-13-41"
+    assert [requested_instant(text, 0.0) for text in (None, "", "default")] == [None] * 3
+    assert requested_instant("2024-06-21T16:00:00Z", 7.0) == "2024-06-21T16:00:00Z"
+    assert requested_instant("2024-06-21T16:00", 7.0) == "2024-06-21T16:00Z"
+    assert requested_instant("2024-06-21T16:00:00+02:00/2024-06-22T00:00:00+02:00", 7.0) == "2024-06-21T16:00:00+02:00"
+    assert requested_instant("2024-06-21", -90.0) == "2024-06-21T18:00:00Z"  # the sun's noon, six hours after Greenwich's
+    assert requested_instant("2024-13-41", 0.0) == "2024-13-41"
     default = datetime(2024, 3, 21, tzinfo=UTC).date()
-    assert date_asked("2024-06-21T00:00:00Z", default).isoformat() == "2024-06-21" and date_asked(None, default) == default
+    assert requested_date("2024-06-21T00:00:00Z", default).isoformat() == "2024-06-21" and requested_date(None, default) == default
     with pytest.raises(InputError, match="a date"):
-        date_asked("soon", default)
+        requested_date("soon", default)
 
 
 def test_a_box_across_the_antimeridian_is_all_round():

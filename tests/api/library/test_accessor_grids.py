@@ -147,7 +147,7 @@ def test_answers_have_the_order_of_the_arrays_dimensions(chunks):
 @pytest.mark.parametrize("chunks", [None, 50])
 def test_a_crs_of_heights_alone_is_refused(chunks):
     heights = placed("EPSG:32633").rio.write_crs("EPSG:5773")
-    with pytest.raises(skugga.SkuggaError, match="^crs: .*heights alone"):
+    with pytest.raises(skugga.SkuggaError, match="^crs: .*vertical CRS"):
         (heights if chunks is None else heights.chunk(chunks)).skugga.shadow(**SUN)
-    with pytest.raises(skugga.SkuggaError, match="^crs: .*heights alone"):
+    with pytest.raises(skugga.SkuggaError, match="^crs: .*vertical CRS"):
         skugga.open_heights(hills(), Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3), "EPSG:5773")

@@ -236,14 +236,14 @@ def test_forty_noisy_pictures_fit() -> None:
     noise = [rng.integers(0, 256, (side, side), dtype=np.uint8) for _ in range(8)]
     rows = [ErrorPicture(visibility, rng.random((side, side)) < 0.1, visibility > 250) for visibility in noise] * 5
     whole = report_pictures(ground, rows, 10**9)
-    assert whole.factor == 1 and len(whole.of_rows) == 40
+    assert whole.factor == 1 and len(whole.row_uris) == 40
     drawn = report_pictures(ground, rows, 400_000)
     assert drawn.size <= 400_000 < whole.size and 1 < drawn.factor < 8
     fewer = report_pictures(ground, rows, whole.size - 1)
     assert (fewer.factor, whole.levels, fewer.levels) == (1, GRAY_LEVELS, FEW_GRAY_LEVELS), "fewer grays before fewer pixels"
     levels = indexes(rows[0], levels=FEW_GRAY_LEVELS)
-    assert np.array_equal(decoded(fewer.of_rows[0]), palette(FEW_GRAY_LEVELS)[levels])
-    assert len(drawn.of_rows) == 40 and (drawn.rows, drawn.cols) == decoded(drawn.of_rows[0]).shape[:2]
+    assert np.array_equal(decoded(fewer.row_uris[0]), palette(FEW_GRAY_LEVELS)[levels])
+    assert len(drawn.row_uris) == 40 and (drawn.rows, drawn.cols) == decoded(drawn.row_uris[0]).shape[:2]
 
 
 def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk() -> None:
@@ -255,7 +255,7 @@ def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk() -> None:
     rows = Comparison(view, "sun", made, noise < 256, "wrong_cast", 0.0, 0.0, 0.0, 0.0, [])
     ground = rng.integers(0, 256, (400, 500, 3), dtype=np.uint8)
     assert "pixels of the view" in report_html(rows, ground, ABOUT)
-    text = report_html(rows, ground, ABOUT, most_bytes=200_000)
+    text = report_html(rows, ground, ABOUT, max_bytes=200_000)
     assert len(text.encode()) < 200_000 < MAX_PAGE_BYTES
     assert "each pixel of a picture covers" in text and data_of(text)["cols"] < 500
 

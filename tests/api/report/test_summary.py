@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from skugga.api.report.summary import algorithm_family, format_summary
 from skugga.selector.formatting import format_duration, format_list, format_percent
 from skugga.selector.measure.compare import Comparison, ComparisonRow
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.terrain.geo.camera import PerspectiveView
 
 ROWS, COLS = 6, 8
@@ -121,7 +121,7 @@ def test_all_exact(count: int, others: str) -> None:
 def test_failures_of_small_error_are_told(more: list[float], words: str) -> None:
     rows = [figures("sweep", 10.0, 0.01, interior=0.002), *(figures("hybrid", 20.0, 0.005, interior=i) for i in more)]
     plainly_wrong = figures("planar", 5.0, 0.4, interior=0.3)
-    aliased = figures("shadow_map", 30.0, 0.004, interior=MOST_INTERIOR)
+    aliased = figures("shadow_map", 30.0, 0.004, interior=MAX_INTERIOR)
     told = [text for text in format_summary(comparison(*rows, plainly_wrong, aliased)) if "interior errors" in text]
     assert len(told) == 1 and told[0].startswith(words)
 

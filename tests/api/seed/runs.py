@@ -12,10 +12,10 @@ import numpy as np
 from skugga.api.matrices import ZoomRange
 from skugga.api.request import ProductRequest, RequestedSettings
 from skugga.api.seed.drawing import Drawer
-from skugga.api.seed.messages import Drawn, NotDrawn, Task
+from skugga.api.seed.messages import Task, TaskFailure, TaskResult
 from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
 from skugga.api.seed.running import TaskEnd
-from skugga.api.seed.seeding import Seeded, draw_and_publish
+from skugga.api.seed.seeding import SeedResult, draw_and_publish
 from skugga.api.seed.storage import FolderStore
 from skugga.api.seed.task_table import TaskTable
 from skugga.terrain.level.level_source import LevelSource
@@ -24,7 +24,7 @@ from tests.rasters import write_geotiff
 
 LOW_SUN = SunSpec(azimuth=225.0, altitude=12.0)
 
-Fate = Callable[[Task], NotDrawn | None]
+Fate = Callable[[Task], TaskFailure | None]
 
 
 def rough_ground(cells: int, seed: int = 3) -> np.ndarray:
@@ -54,7 +54,7 @@ class HereRunner:
     def submit(self, task: Task, lane: int) -> None:
         self._given.append(task)
 
-    def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
+    def wait(self, timeout_s: float) -> Sequence[TaskResult | TaskFailure]:
         task = self._given.popleft()
         if self._fate is not None and (ended := self._fate(task)) is not None:
             return [ended]
@@ -90,7 +90,7 @@ class Run:
         asked = ProductRequest(product=self.layer, overrides=RequestedSettings.of(self.settings))
         return SeedRequest(source, ZoomRange(*self.zooms), self.suns, asked, "png")
 
-    def __call__(self, fate: Fate | None = None, **options: object) -> tuple[Seeded, list[Task]]:
+    def __call__(self, fate: Fate | None = None, **options: object) -> tuple[SeedResult, list[Task]]:
         """Seed; what was done, and the tasks that were drawn."""
         runners: list[HereRunner] = []
         with TaskTable(self.work / "tasks.sqlite") as table:

@@ -90,7 +90,11 @@ def run(tmp_path: Path) -> Run:
 
 
 def on_cluster(
-    run: Run, cluster: Cluster, on_end: Callable[[TaskEnd], None] = lambda end: None, shards: str = "", nobody_s: float = 60.0
+    run: Run,
+    cluster: Cluster,
+    on_end: Callable[[TaskEnd], None] = lambda end: None,
+    shards: str = "",
+    cluster_timeout_s: float = 60.0,
 ) -> list[str]:
     """Seed on a cluster; the workers that drew, one for each task."""
     drawn_by: list[str] = []
@@ -104,7 +108,7 @@ def on_cluster(
         planned = plan_run(table, run.request, lambda text: None)
         draw_and_publish(
             table, planned, store_at(place), place, {planned.sun_names[0]: run.output},
-            lambda: DaskCluster(cluster.address, nobody_s).begin(planned.spec, place), note,
+            lambda: DaskCluster(cluster.address, cluster_timeout_s).begin(planned.spec, place), note,
         )  # fmt: skip
     return drawn_by
 
@@ -159,7 +163,8 @@ def test_a_slow_worker_gets_less_to_do(run, cluster):
     run.zooms = 11, 15
     cluster.add_worker()
     slow = (
-        "import skugga.api.seed.dask_worker as c, time\ndraw = c.kept.draw\nc.kept.draw = lambda *a: (time.sleep(6), draw(*a))[1]"
+        "import skugga.api.seed.dask_worker as c, time\ndraw = "
+        "c.persistent_process.draw\nc.persistent_process.draw = lambda *a: (time.sleep(6), draw(*a))[1]"
     )
     cluster.add_worker(before=slow)
     counts = sorted(Counter(on_cluster(run, cluster)).values())
@@ -168,7 +173,9 @@ def test_a_slow_worker_gets_less_to_do(run, cluster):
 
 def test_a_worker_with_another_renderer_is_refused(run, cluster):
     other = "import skugga.api.seed.dask_worker as c\nfrom skugga.terrain.errors import GraphicsError\n"
-    other += "def refuse(*a): raise GraphicsError('this worker draws with another renderer')\nc.KeptProcess._of = refuse"
+    other += (
+        "def refuse(*a): raise GraphicsError('this worker draws with another renderer')\nc.PersistentProcess._process_for = refuse"
+    )
     cluster.add_worker(before=other)
     with pytest.raises(GraphicsError, match="no worker of the cluster can draw this run.*another renderer"):
         on_cluster(run, cluster)
@@ -209,7 +216,7 @@ def workers_of(cluster: Cluster) -> int:
 
 def test_without_a_scheduler_or_workers(run, cluster):
     with pytest.raises(RenderError, match="no worker joined within 3 s. Run the same command again to resume"):
-        on_cluster(run, cluster, nobody_s=3.0)
+        on_cluster(run, cluster, cluster_timeout_s=3.0)
     cluster.close()
     with pytest.raises(InputError, match=r"--scheduler.*no Dask scheduler answers at tcp://127.0.0.1:\d+"):
         on_cluster(run, cluster)
@@ -222,4 +229,4 @@ def test_a_scheduler_that_does_not_come_back(run, cluster):
         cluster.scheduler.kill()
 
     with pytest.raises(RenderError, match="the scheduler did not return within 3 s.*Run the same command again to resume"):
-        on_cluster(run, cluster, end_it, nobody_s=3.0)
+        on_cluster(run, cluster, end_it, cluster_timeout_s=3.0)

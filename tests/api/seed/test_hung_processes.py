@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from skugga.api.seed.local_pool import MOST_FRUITLESS, LocalPool
-from skugga.api.seed.messages import LEAST_LIMIT_S, Drawn, NotDrawn, Task
+from skugga.api.seed.local_pool import MAX_FAILED_STARTS, LocalPool
+from skugga.api.seed.messages import MIN_LIMIT_S, Task, TaskFailure, TaskResult
 from skugga.api.seed.planning import plan_run
 from skugga.api.seed.run_spec import RunSpec
-from skugga.api.seed.running import LIMIT_TIMES, TaskEnd, task_of
+from skugga.api.seed.running import MAX_TIME_RATIO, TaskEnd, task_of
 from skugga.api.seed.seeding import draw_and_publish
 from skugga.api.seed.task_table import TaskTable
 from skugga.terrain.errors import GraphicsError, RenderError
@@ -68,7 +68,7 @@ def tries_of(run: Run) -> list[int]:
 def test_a_stopped_process_is_replaced_and_its_task_drawn(run: Run, tmp_path: Path):
     pool = Stopping(times=1)
     first = pool.pids
-    seeded(run, pool, least_limit_s=LIMIT_S)
+    seeded(run, pool, min_limit_s=LIMIT_S)
     assert pool.left == 0 and tries_of(run) == [1]
     assert pool.pids != first and not Path(f"/proc/{first[0]}").exists()
     whole = Run(run.level, tmp_path / "whole.pmtiles", run.zooms)
@@ -86,19 +86,19 @@ def test_a_task_that_always_hangs_is_listed_and_the_others_go_on(run: Run):
 
 @pytest.mark.long
 def test_what_hangs_below_a_clusters_worker_is_replaced(run: Run):
-    from skugga.api.seed.dask_worker import KeptProcess
+    from skugga.api.seed.dask_worker import PersistentProcess
 
-    kept, shards = KeptProcess(), str(run.work / "shards")
+    kept, shards = PersistentProcess(), str(run.work / "shards")
     with TaskTable(run.work / "tasks.sqlite") as table:
         planned = plan_run(table, run.request, lambda text: None)
-        task = task_of(table, planned, table.waiting()[0], LEAST_LIMIT_S)
+        task = task_of(table, planned, table.waiting()[0], MIN_LIMIT_S)
     run.store.write("run.json", planned.spec.model_dump_json().encode())
-    assert isinstance(kept.draw(shards, "run.json", task), Drawn)
+    assert isinstance(kept.draw(shards, "run.json", task), TaskResult)
     assert kept._process is not None
     os.kill(kept._process.pid, signal.SIGSTOP)
     said = kept.draw(shards, "run.json", task._replace(limit_s=1.0))
-    assert isinstance(said, NotDrawn) and (said.how, said.error) == ("died", "its render process did not answer within 1 s")
-    assert isinstance(kept.draw(shards, "run.json", task), Drawn)
+    assert isinstance(said, TaskFailure) and (said.how, said.error) == ("died", "its render process did not answer within 1 s")
+    assert isinstance(kept.draw(shards, "run.json", task), TaskResult)
     kept.end()
 
 
@@ -108,14 +108,14 @@ def test_processes_that_hang_at_the_start_end_the_run(monkeypatch: pytest.Monkey
     stopped: list[int] = []
     try:
         pool.begin(RunSpec.model_construct(), "nowhere")
-        with pytest.raises(GraphicsError, match=f"{MOST_FRUITLESS} render processes in a row ended or did not answer"):
-            for _ in range(2 * MOST_FRUITLESS):
+        with pytest.raises(GraphicsError, match=f"{MAX_FAILED_STARTS} render processes in a row ended or did not answer"):
+            for _ in range(2 * MAX_FAILED_STARTS):
                 os.kill(pool.pids[0], signal.SIGSTOP)
                 stopped += pool.pids
                 assert pool.wait(1.0) == []
     finally:
         pool.close()
-    assert len(set(stopped)) == MOST_FRUITLESS and not any(Path(f"/proc/{pid}").exists() for pid in stopped)
+    assert len(set(stopped)) == MAX_FAILED_STARTS and not any(Path(f"/proc/{pid}").exists() for pid in stopped)
 
 
 def test_a_tasks_limit_is_a_multiple_of_what_is_expected_and_never_short(run: Run):
@@ -123,5 +123,5 @@ def test_a_tasks_limit_is_a_multiple_of_what_is_expected_and_never_short(run: Ru
         planned = plan_run(table, run.request, lambda text: None)
         number = table.waiting()[0]
         expected_s = table.place(number)[-1]
-        assert task_of(table, planned, number, LEAST_LIMIT_S).limit_s == LEAST_LIMIT_S > 100.0 * expected_s > 0.0
-        assert task_of(table, planned, number, 0.01).limit_s == LIMIT_TIMES * expected_s
+        assert task_of(table, planned, number, MIN_LIMIT_S).limit_s == MIN_LIMIT_S > 100.0 * expected_s > 0.0
+        assert task_of(table, planned, number, 0.01).limit_s == MAX_TIME_RATIO * expected_s

@@ -12,7 +12,7 @@ from pmtiles.tile import tileid_to_zxy
 from skugga.api.request import ProductRequest
 from skugga.api.seed import planning
 from skugga.api.seed.archive import ShardIndex
-from skugga.api.seed.messages import NotDrawn
+from skugga.api.seed.messages import TaskFailure
 from skugga.api.seed.publishing import MANIFEST
 from skugga.api.seed.running import shard_name
 from skugga.api.seed.seeding import FAILED_LIST
@@ -122,7 +122,7 @@ def test_a_run_that_ends_in_the_middle_goes_on(run: Run, tmp_path: Path):
 
 def test_failed_tasks_are_listed_and_the_others_go_on(run: Run):
     def fails(task):
-        return NotDrawn(task.id, "a part that cannot be read", "failed") if task.zoom == 12 else None
+        return TaskFailure(task.id, "a part that cannot be read", "failed") if task.zoom == 12 else None
 
     with pytest.raises(RenderError, match=r"of \d+ tasks failed.*--retry-failed.*a part that cannot be read"):
         run(fails)
@@ -144,7 +144,7 @@ def test_a_task_is_begun_anew_when_its_worker_dies(run: Run, deaths: int, fails:
         nonlocal left
         if task.zoom == 11 and left:
             left -= 1
-            return NotDrawn(task.id, "its render process ended", "died")
+            return TaskFailure(task.id, "its render process ended", "died")
         return None
 
     run.zooms = 11, 11
@@ -157,7 +157,7 @@ def test_a_task_is_begun_anew_when_its_worker_dies(run: Run, deaths: int, fails:
 
 def test_where_no_shard_can_be_written_the_run_stops(run: Run):
     def full(task):
-        return NotDrawn(task.id, "/shards: No space left on device", "stopped") if task.zoom < 14 else None
+        return TaskFailure(task.id, "/shards: No space left on device", "stopped") if task.zoom < 14 else None
 
     with pytest.raises(RenderError, match="No space left"):
         run(full)
@@ -166,16 +166,16 @@ def test_where_no_shard_can_be_written_the_run_stops(run: Run):
 
 def test_more_tasks_than_allowed_are_not_begun(run: Run):
     with pytest.raises(InputError, match=r"--max-tasks.*--dry-run"):
-        run(most_tasks=2)
+        run(max_tasks=2)
     assert not (run.work / "shards").exists()
-    assert run(most_tasks=1000)[0].written
+    assert run(max_tasks=1000)[0].written
 
 
 def test_lost_and_broken_shards_are_drawn_anew(run: Run):
     run()
     archive = run.output.read_bytes()
     with work_of(run) as table:
-        names = [shard_name(key) for _, key in table.with_shards()]
+        names = [shard_name(key) for _, key in table.tasks_with_shards()]
     lost, broken = (run.work / "shards" / name for name in names[:2])
     lost.unlink()
     broken.write_bytes(broken.read_bytes()[:-1] + b"x")
@@ -288,11 +288,11 @@ def test_a_folder_has_the_same_tiles(run: Run, tmp_path: Path):
     run()
     folder = Run(run.level, tmp_path / "tiles", ZOOMS)
     folder()
-    there = {
+    existing = {
         tuple(map(int, path.relative_to(folder.output).with_suffix("").parts)): path.read_bytes()
         for path in folder.output.rglob("*.png")
     }
-    assert there == tiles_of(run.output)
+    assert existing == tiles_of(run.output)
     said = json.loads((folder.output / MANIFEST).read_text(encoding="utf-8"))
     assert (said["minzoom"], said["maxzoom"], said["tiles"]) == (11, 14, ["{z}/{x}/{y}.png"])
     folder.zooms = 12, 13
@@ -302,7 +302,7 @@ def test_a_folder_has_the_same_tiles(run: Run, tmp_path: Path):
 
 def test_a_table_for_another_renderer_is_refused(run: Run, monkeypatch: pytest.MonkeyPatch):
     run()
-    monkeypatch.setattr(planning, "renderer_here", lambda: "another renderer")
+    monkeypatch.setattr(planning, "local_renderer", lambda: "another renderer")
     with pytest.raises(RenderError, match=r"planned for the renderer '.*another renderer.*delete"):
         run()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from skugga.api.seed.running import LONGEST_STRETCH, WaitingTasks
+from skugga.api.seed.running import MAX_STRETCH, WaitingTasks
 
 
 def handed_out(waiting: WaitingTasks, lanes: int) -> list[list[int]]:
@@ -30,13 +30,13 @@ def test_lanes_draw_neighbours():
     drawn = handed_out(WaitingTasks(range(10_000)), 4)
     for lane in drawn:
         beside = sum(b == a + 1 for a, b in zip(lane, lane[1:], strict=False))
-        assert beside > (1.0 - 1.5 / LONGEST_STRETCH) * len(lane)
+        assert beside > (1.0 - 1.5 / MAX_STRETCH) * len(lane)
 
 
 def test_the_first_are_begun_early_and_the_last_late():
     lanes = handed_out(WaitingTasks(range(1000)), 4)
     turns = {task: turn for lane in lanes for turn, task in enumerate(lane)}
-    assert all(abs(4 * turn - task) <= 4 * 4 * LONGEST_STRETCH for task, turn in turns.items())
+    assert all(abs(4 * turn - task) <= 4 * 4 * MAX_STRETCH for task, turn in turns.items())
 
 
 def test_a_lane_that_is_slow_is_left_with_one_task():

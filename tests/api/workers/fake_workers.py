@@ -15,7 +15,6 @@ from skugga.api.workers.block_tiles import BLOCK_TILES
 from skugga.api.workers.jobs import (
     BlockJob,
     BlockTiles,
-    CarriedPlans,
     Failure,
     FilmChecked,
     FilmCheckJob,
@@ -23,6 +22,7 @@ from skugga.api.workers.jobs import (
     FrameJob,
     Ping,
     PlanAnswer,
+    PlanHandover,
     PlanJob,
     Pong,
     Preparing,
@@ -138,7 +138,7 @@ def filming(
         if order == "crash":
             os._exit(9)
         planned = 1 if job.before is None else job.before.state + 1
-        picture = FilmPicture(np.full((FILM_ROWS, FILM_COLS, 3), planned, np.uint8), CarriedPlans(planned))  # type: ignore[arg-type]
+        picture = FilmPicture(np.full((FILM_ROWS, FILM_COLS, 3), planned, np.uint8), PlanHandover(planned))  # type: ignore[arg-type]
         pipe.send(picture if order is None else _answer(order))
 
 

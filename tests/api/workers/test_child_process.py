@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from skugga.api.workers.child_process import ChildProcess
-from skugga.api.workers.spawned import PipedProcess
+from skugga.api.workers.piped_process import PipedProcess
 
 
 def echo(pipe: Connection, word: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from skugga.api.workers.expected_times import FIRST_GUESS_S, USUAL_PX, ExpectedTimes
+from skugga.api.workers.expected_times import INITIAL_ESTIMATE_S, REFERENCE_PX, ExpectedTimes
 from skugga.api.workers.jobs import Job, LevelKey, MapJob
 from tests.products import sun_hours_of
 
@@ -17,13 +17,13 @@ def a_map(side: int, **more: object) -> MapJob:
 
 
 def test_there_is_a_first_guess_of_every_job():
-    assert set(FIRST_GUESS_S) == set(get_args(Job))
+    assert set(INITIAL_ESTIMATE_S) == set(get_args(Job))
 
 
 def test_maps_are_learnt_by_the_pixel_and_hours_of_sun_apart():
     times = ExpectedTimes()
-    assert times.of(a_map(2000)) == 4 * times.of(a_map(1000)) == 4 * FIRST_GUESS_S[MapJob] * 1e6 / USUAL_PX
+    assert times.of(a_map(2000)) == 4 * times.of(a_map(1000)) == 4 * INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
     times.learn(a_map(1000), 0.2)
     assert abs(times.of(a_map(2000)) - 0.8) < 1e-9
     of_a_date = a_map(1000, request=sun_hours_of(date="2024-03-21"))
-    assert times.of(of_a_date) == FIRST_GUESS_S[MapJob] * 1e6 / USUAL_PX
+    assert times.of(of_a_date) == INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from skugga.api.errors import LaterError
+from skugga.api.errors import RetryLaterError
 from skugga.api.request import ProductRequest
 from skugga.api.settings import Settings
 from skugga.api.workers.admission import check_admission, is_tile, retry_after_s
@@ -26,8 +26,8 @@ def snapshot(number: int) -> SnapshotJob:
     return SnapshotJob(level=LEVEL, view="map", format="png", size=(640 + number, 480))
 
 
-def pending(job: Job, client: str, came_s: float = 0.0) -> PendingJob:
-    return PendingJob(job, None, came_s, clients=Counter([client]))  # type: ignore[arg-type]
+def pending(job: Job, client: str, arrived_s: float = 0.0) -> PendingJob:
+    return PendingJob(job, None, arrived_s, clients=Counter([client]))  # type: ignore[arg-type]
 
 
 @dataclass
@@ -68,7 +68,7 @@ class Crowd:
                     each = pending(job, of, now_s)
                     self.queue.put(each)
                     later(now_s + SETTINGS.queue_timeout_s, "expire", each)
-                except LaterError:
+                except RetryLaterError:
                     self.refused[of] += 1
                     later(now_s + 1.0, "ask", of)
             elif what == "expire" and self.queue.waiting.get(of.job) is of:
@@ -83,7 +83,7 @@ class Crowd:
                 self.spent_s[of.client] += self.takes(of.job)
                 later(now_s, "ask", of.client)
             if running is None and (running := self.queue.take(now_s)) is not None:
-                self.waited_s[running.client].append(now_s - running.came_s)
+                self.waited_s[running.client].append(now_s - running.arrived_s)
                 later(now_s + self.takes(running.job), "done", running)
         return self
 
@@ -136,7 +136,7 @@ def test_work_of_one_client_is_bounded_in_seconds_not_in_requests():
         queue.put(pending(snapshot(n), "one"))
     heavy = PlanJob(level=LEVEL, view="map")
     queue.learn(heavy, 30.0)
-    with pytest.raises(LaterError, match="this one would add 30.0 s") as told:
+    with pytest.raises(RetryLaterError, match="this one would add 30.0 s") as told:
         check_admission(queue, heavy, "one", 0.0, SETTINGS)
     assert told.value.retry_after_s == 1
     check_admission(queue, heavy, "other", 0.0, SETTINGS)
@@ -148,7 +148,7 @@ def test_a_screenful_is_let_in_however_long_it_takes():
     for n in range(SCREEN):
         check_admission(queue, block(n), "one", 0.0, SETTINGS)
         queue.put(pending(block(n), "one"))
-    with pytest.raises(LaterError) as told:
+    with pytest.raises(RetryLaterError) as told:
         check_admission(queue, block(SCREEN), "one", 0.0, SETTINGS)
     assert told.value.retry_after_s == 120
     check_admission(queue, block(SCREEN), "other", 0.0, SETTINGS)

@@ -45,7 +45,7 @@ def gated(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
 
 
 def test_a_full_queue_is_503_and_says_when_to_come_back(gated):
-    client, wait_begun, let_go = gated
+    client, wait_begun, release = gated
     with ThreadPoolExecutor(2) as threads:
         first = threads.submit(client.get, tile())
         wait_begun()
@@ -55,25 +55,25 @@ def test_a_full_queue_is_503_and_says_when_to_come_back(gated):
         refused = client.get(tile(X, Y - 1))
         check_problem(refused, 503, "busy", None)
         assert int(refused.headers["retry-after"]) >= 1
-        let_go()
-        let_go()
+        release()
+        release()
         assert [first.result().status_code, second.result().status_code] == [200, 200]
 
 
 def test_the_service_answers_while_a_block_waits(gated):
-    client, wait_begun, let_go = gated
+    client, wait_begun, release = gated
     with ThreadPoolExecutor(1) as thread:
         drawing = thread.submit(client.get, tile())
         wait_begun()
         assert client.get("/healthz").status_code == 200
         assert client.get("/levels").status_code == 200
         assert not drawing.done()
-        let_go()
+        release()
         assert drawing.result().status_code == 200
 
 
 def test_a_client_that_goes_away_leaves_no_work_behind(gated):
-    client, wait_begun, let_go = gated
+    client, wait_begun, release = gated
     with ThreadPoolExecutor(1) as thread:
         first = thread.submit(client.get, tile())
         wait_begun()
@@ -83,19 +83,19 @@ def test_a_client_that_goes_away_leaves_no_work_behind(gated):
                 client.get("/healthz")
         while client.service.pool.queued:
             client.get("/healthz")
-        let_go()
+        release()
         assert first.result().status_code == 200
-    assert client.service.pool.tally.abandoned == 1
+    assert client.service.pool.counters.abandoned == 1
 
 
 def test_a_process_killed_in_the_middle_of_a_block(gated):
-    client, wait_begun, let_go = gated
+    client, wait_begun, release = gated
     with ThreadPoolExecutor(1) as thread:
         drawing = thread.submit(client.get, tile())
         wait_begun()
         os.kill(*client.service.pool.pids, signal.SIGKILL)
         wait_begun()
-        let_go()
+        release()
         assert drawing.result().status_code == 200, "another process has begun it again"
 
 
@@ -109,7 +109,7 @@ def test_a_picture_that_ends_every_process_is_503_and_then_set_aside(serve_with)
     problem = check_problem(answer, 503, "set_aside", None)
     assert "hills" in problem["detail"]
     assert int(answer.headers["retry-after"]) >= 1
-    assert client.service.pool.tally.started <= 5
+    assert client.service.pool.counters.started <= 5
 
 
 def test_a_block_that_takes_too_long(serve_with):
@@ -191,9 +191,9 @@ def test_not_modified_is_known_before_rendering(serve_with):
         assert (answer.status_code, answer.content) == (304, b"")
         assert answer.headers["etag"] == tag
         assert "max-age" in answer.headers["cache-control"]
-    assert client.service.pool.tally.answered == 1
+    assert client.service.pool.counters.answered == 1
     assert client.get(tile(), headers={"If-None-Match": '"other"'}).status_code == 200
-    assert client.service.pool.tally.answered == 2
+    assert client.service.pool.counters.answered == 2
 
 
 @pytest.mark.parametrize("policy", ["204", "404"])

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skugga.api.errors import LaterError, WorkerCrashError
+from skugga.api.errors import RetryLaterError, WorkerCrashError
 from skugga.api.request import PictureRequest
 from skugga.api.workers import film_jobs
 from skugga.api.workers.expected_times import ExpectedTimes
-from skugga.api.workers.job_queue import BEHIND_S, JobQueue, PendingJob
-from skugga.api.workers.jobs import CarriedPlans, FilmPicture, FrameJob
+from skugga.api.workers.job_queue import BACKGROUND_PENALTY_S, JobQueue, PendingJob
+from skugga.api.workers.jobs import FilmPicture, FrameJob, PlanHandover
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.pool import Pool
 from skugga.selector.film import film_frames, frame_moments
@@ -39,17 +39,17 @@ from tests.api.workers.test_pool import LEVEL, SOON_S, block, order, until, with
 SPAN = FilmSpan(10, 60.0)
 
 
-def frame(number: int = 0, before: CarriedPlans | None = None) -> FrameJob:
+def frame(number: int = 0, before: PlanHandover | None = None) -> FrameJob:
     return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, before=before)
 
 
-def pending(job: Any, came_s: float) -> PendingJob:
-    return PendingJob(job, None, came_s, is_background=isinstance(job, FrameJob))  # type: ignore[arg-type]
+def pending(job: Any, arrived_s: float) -> PendingJob:
+    return PendingJob(job, None, arrived_s, is_background=isinstance(job, FrameJob))  # type: ignore[arg-type]
 
 
 def test_whoever_asks_for_a_picture_goes_before_a_frame_that_came_earlier():
     queue = JobQueue(1, ExpectedTimes())
-    first, tile, plan = pending(frame(), 0.0), pending(block(1), 1.0), pending(order("map"), BEHIND_S - 1.0)
+    first, tile, plan = pending(frame(), 0.0), pending(block(1), 1.0), pending(order("map"), BACKGROUND_PENALTY_S - 1.0)
     for each in (first, tile, plan):
         queue.put(each)
     taken = []
@@ -61,10 +61,10 @@ def test_whoever_asks_for_a_picture_goes_before_a_frame_that_came_earlier():
 
 def test_a_frame_has_its_turn_under_a_load_that_does_not_end():
     queue = JobQueue(1, ExpectedTimes())
-    first, late = pending(frame(), 0.0), pending(block(1), BEHIND_S + 30.0)
+    first, late = pending(frame(), 0.0), pending(block(1), BACKGROUND_PENALTY_S + 30.0)
     queue.put(first)
     queue.put(late)
-    assert queue.take(BEHIND_S + 30.0) is first
+    assert queue.take(BACKGROUND_PENALTY_S + 30.0) is first
 
 
 def test_frames_leave_one_process_to_others_however_fast_they_are():
@@ -120,11 +120,11 @@ def test_pictures_pass_frames_and_a_full_queue_takes_them():
             await until(lambda: pool.queued == 2)
             tasks.create_task(run("tile", block(1)))
             await until(lambda: pool.queued == 3)
-            with pytest.raises(LaterError, match="1 pictures of this client are queued"):
+            with pytest.raises(RetryLaterError, match="1 pictures of this client are queued"):
                 await pool.run(block(2))
             gate.open(4)
         assert ended == ["running", "tile", "frame", "frame"]
-        assert pool.tally.refused == 1
+        assert pool.counters.refused == 1
 
     with_pool(scenario, gate.target, queue_length=1, queue_work_s=0.1)
 
@@ -137,7 +137,7 @@ def test_frames_wait_for_as_long_as_need_be():
         await gate.begun()
         waiting = asyncio.create_task(pool.run(frame()))
         await until(lambda: pool.queued == 1)
-        with pytest.raises(LaterError, match="waited longer than the limit of"):
+        with pytest.raises(RetryLaterError, match="waited longer than the limit of"):
             await pool.run(block(1))  # which came later, and has to give up by now
         assert not waiting.done()
         gate.open(2)
@@ -161,7 +161,7 @@ def test_a_frame_whose_process_is_killed_is_drawn_again_from_the_same_plans():
         gate.open()
         second = await drawing
         assert isinstance(second, FilmPicture) and np.array_equal(second.color, np.full((4, 6, 3), 2))
-        assert pool.tally.retried == 1
+        assert pool.counters.retried == 1
 
     with_pool(scenario, gate.target)
 
@@ -170,7 +170,7 @@ def test_a_frame_that_ends_two_processes_is_told_of():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerCrashError):
             await pool.run(frame(3))
-        assert pool.tally.retried == 1
+        assert pool.counters.retried == 1
 
     with_pool(scenario, functools.partial(fake_workers.filming, orders=((3, "crash"),)))
 
@@ -185,7 +185,7 @@ def test_a_frame_that_nobody_waits_for_is_dropped():
         await until(lambda: pool.queued == 1)
         waiting.cancel()
         await until(lambda: pool.queued == 0)
-        assert pool.tally.abandoned == 1
+        assert pool.counters.abandoned == 1
         gate.open()
         await running
 
@@ -226,9 +226,9 @@ def test_frames_that_are_drawn_one_by_one_are_those_of_the_film(
         whole.append(drawn)
     assert any(each.transition is not None for each in whole) and whole[0].plan.headline != whole[-1].plan.headline
 
-    before: CarriedPlans | None = None
+    before: PlanHandover | None = None
     for number, expected in enumerate(whole):
-        monkeypatch.setattr(film_jobs, "plans_in_service", lambda *_, number=number: plans(number))
+        monkeypatch.setattr(film_jobs, "plan_function_in_service", lambda *_, number=number: plans(number))
         job = FrameJob(level=level, span=request.span, view="eye", number=number, before=before)
         picture = pickle.loads(pickle.dumps(film_jobs.film_picture(pickle.loads(pickle.dumps(job)), scene, PlanBasis())))
         assert np.array_equal(picture.color, expected.color), number
@@ -238,7 +238,7 @@ def test_frames_that_are_drawn_one_by_one_are_those_of_the_film(
 
 def test_frames_of_one_film_are_equal_jobs_until_they_are_drawn():
     assert frame(0) == frame(0) and hash(frame(0)) == hash(frame(0))
-    one, other = CarriedPlans(1), CarriedPlans(1)  # type: ignore[arg-type]
+    one, other = PlanHandover(1), PlanHandover(1)  # type: ignore[arg-type]
     assert frame(1, one) == frame(1, one) != frame(1, other), "plans that were made apart are others"
     lit = PictureRequest(sun=SunSpec(azimuth=100, altitude=30))
     assert frame(0).model_copy(update={"request": lit}) != frame(0)

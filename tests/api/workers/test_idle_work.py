@@ -108,7 +108,7 @@ def test_a_process_that_is_started_later_goes_by_it():
         pool.basis = PlanBasis(profile())
         for x in range(4):
             assert drawn(await pool.run(block(x))) == pool.plan_version(LEVEL)
-        assert pool.tally.started > 2
+        assert pool.counters.started > 2
 
     with_pool(scenario, fake_workers.planning, recycle_blocks=1)
 

@@ -115,7 +115,7 @@ def test_a_job_may_be_prepared_for_longer_than_a_picture_may_take():
         await pool.settled()
         expected_s = pool.expected_s(block(1))
         assert isinstance(await asyncio.wait_for(pool.run(block(1)), SOON_S), BlockTiles)
-        assert pool.tally.timed_out == 0
+        assert pool.counters.timed_out == 0
         assert pool.expected_s(block(1)) == expected_s, "what happens once says nothing of the next block"
         await pool.close()
 
@@ -180,7 +180,7 @@ def test_equal_jobs_are_one_job():
         gate.open()
         answers = await asyncio.gather(*waiting)
         assert all(answer is answers[0] for answer in answers)
-        assert pool.tally.answered == 1
+        assert pool.counters.answered == 1
 
     with_pool(scenario, gate.target)
 
@@ -193,7 +193,7 @@ def test_finished_blocks_are_kept_within_their_bytes():
         await pool.run(block(2))
         assert pool.finished(block(1)) is None
         assert pool.finished(block(2)) is not None
-        assert pool.tally.answered == 2
+        assert pool.counters.answered == 2
 
     with_pool(scenario, block_cache_bytes=100)  # the tiles of a block take 64
 
@@ -226,10 +226,10 @@ def test_a_job_is_paid_for_by_who_waits_for_it():
         await until(lambda: pool.queued == 1)
         stays = asyncio.create_task(pool.run(order("second"), "other"))
         await until(lambda: len(pool._queue.waiting[order("second")].clients) == 2)
-        assert len(pool._queue.of_client("one")) == 1
+        assert len(pool._queue.jobs_of_client("one")) == 1
         leaves.cancel()
-        await until(lambda: not pool._queue.of_client("one"))
-        assert len(pool._queue.of_client("other")) == 1 and pool.tally.abandoned == 0
+        await until(lambda: not pool._queue.jobs_of_client("one"))
+        assert len(pool._queue.jobs_of_client("other")) == 1 and pool.counters.abandoned == 0
         gate.open(2)
         await asyncio.gather(begun, stays)
 
@@ -264,7 +264,7 @@ def test_what_nobody_waits_for_is_dropped_from_the_queue():
         last = asyncio.create_task(pool.run(order("last")))
         gate.open(2)
         await asyncio.gather(first, last)
-        assert (pool.tally.answered, pool.tally.abandoned) == (2, 1)
+        assert (pool.counters.answered, pool.counters.abandoned) == (2, 1)
 
     with_pool(scenario, gate.target)
 
@@ -293,7 +293,7 @@ def test_an_error_is_its_own_jobs_alone(view: str, error: type[Exception]):
                 await pool.run(order(view))
             assert isinstance(await pool.run(order("map")), PlanAnswer)
         replaced = 4 if view in ("doubt", "crash") else 0  # each is tried twice
-        assert pool.tally.started == 1 + replaced
+        assert pool.counters.started == 1 + replaced
 
     with_pool(scenario)
 
@@ -322,7 +322,7 @@ def test_a_process_killed_in_the_middle_of_a_job():
         gate.open(2)
         assert isinstance(await begun, PlanAnswer), "it is begun again by another process"
         assert isinstance(await queued, PlanAnswer)
-        assert pool.tally.retried == 1
+        assert pool.counters.retried == 1
 
     with_pool(scenario, gate.target)
 
@@ -342,7 +342,7 @@ def test_processes_are_recycled():
     async def scenario(pool: Pool) -> None:
         for number in range(5):
             await pool.run(order(f"map {number}"))
-        assert pool.tally.started == 3
+        assert pool.counters.started == 3
 
     with_pool(scenario, recycle_blocks=2)
 

@@ -10,16 +10,16 @@ import time
 
 import pytest
 
-from skugga.api.errors import LaterError, SetAsideError, WorkerCrashError
+from skugga.api.errors import CircuitOpenError, RetryLaterError, WorkerCrashError
 from skugga.api.request import ProductRequest, RequestedSettings
+from skugga.api.workers import piped_process, worker_process
 from skugga.api.workers import pool as pool_module
-from skugga.api.workers import spawned, worker_process
+from skugga.api.workers.circuit_breaker import CircuitBreaker
 from skugga.api.workers.expected_times import ExpectedTimes
 from skugga.api.workers.job_queue import JobQueue, PendingJob
 from skugga.api.workers.jobs import BlockJob, LevelKey, PlanAnswer, SnapshotJob
 from skugga.api.workers.pool import Pool
 from skugga.api.workers.process_life import is_stopped
-from skugga.api.workers.set_aside import SetAside
 from skugga.terrain.errors import RenderTimeoutError
 from tests.api.workers import fake_workers
 from tests.api.workers.test_pool import LEVEL, Gate, block, order, until, with_pool
@@ -34,7 +34,7 @@ def view(size: tuple[int, int] = (640, 480), **asked) -> SnapshotJob:
 
 def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyPatch):
     """The pipe of the next process cannot be made, twice; then descriptors are free again."""
-    real, left = spawned.get_context, [2]
+    real, left = piped_process.get_context, [2]
 
     class NoPipes:
         def __getattr__(self, name):
@@ -50,8 +50,8 @@ def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyP
         return real(method)
 
     started: list[int] = []
-    monkeypatch.setattr(pool_module, "FIRST_PAUSE_S", 0.01)
-    monkeypatch.setattr(spawned, "get_context", context)
+    monkeypatch.setattr(pool_module, "INITIAL_BACKOFF_S", 0.01)
+    monkeypatch.setattr(piped_process, "get_context", context)
 
     async def scenario(pool: Pool) -> None:
         await until(lambda: pool.ready)
@@ -75,8 +75,8 @@ def test_a_place_that_has_ended_is_told():
 
 
 def test_an_idle_process_that_is_stopped_is_not_ready_and_is_replaced(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(pool_module, "PING_EVERY_S", 0.2)
-    monkeypatch.setattr(pool_module, "PONG_S", 0.2)
+    monkeypatch.setattr(pool_module, "HEARTBEAT_INTERVAL_S", 0.2)
+    monkeypatch.setattr(pool_module, "HEARTBEAT_TIMEOUT_S", 0.2)
 
     async def scenario(pool: Pool) -> None:
         await until(lambda: pool.ready)
@@ -91,7 +91,7 @@ def test_an_idle_process_that_is_stopped_is_not_ready_and_is_replaced(monkeypatc
 
 
 def test_a_process_that_is_stopped_in_the_middle_of_a_job(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(worker_process, "LOOK_EVERY_S", 0.1)
+    monkeypatch.setattr(worker_process, "STOPPED_CHECK_S", 0.1)
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -101,7 +101,7 @@ def test_a_process_that_is_stopped_in_the_middle_of_a_job(monkeypatch: pytest.Mo
         await gate.begun()
         gate.open(2)
         assert isinstance(await begun, PlanAnswer)
-        assert pool.tally.retried == 1
+        assert pool.counters.retried == 1
 
     with_pool(scenario, gate.target)
 
@@ -113,10 +113,10 @@ def test_waiting_has_an_end():
         pool._queue.expected.learn(order("first"), 0.01)
         begun = asyncio.create_task(pool.run(order("first")))
         await gate.begun()
-        with pytest.raises(LaterError, match=r"limit of 0.3 s") as caught:
+        with pytest.raises(RetryLaterError, match=r"limit of 0.3 s") as caught:
             await pool.run(order("waits"))
         assert caught.value.retry_after_s >= 1
-        assert pool.queued == 0 and pool.tally.expired == 1
+        assert pool.queued == 0 and pool.counters.expired == 1
         gate.open()
         await begun
 
@@ -133,7 +133,7 @@ def test_who_would_wait_too_long_is_refused_at_once():
         await gate.begun()
         waiting = asyncio.create_task(pool.run(order("waits"), "other"))
         await until(lambda: pool.queued == 1)
-        with pytest.raises(LaterError, match="the expected wait is") as caught:
+        with pytest.raises(RetryLaterError, match="the expected wait is") as caught:
             await pool.run(order("map"), "other")
         assert 20 <= caught.value.retry_after_s <= 31
         waiting.cancel()
@@ -149,20 +149,20 @@ def test_what_keeps_timing_out_is_set_aside_and_nothing_else():
         for _ in range(2):
             with pytest.raises(RenderTimeoutError):
                 await pool.run(hang)
-        with pytest.raises(SetAsideError, match="level level") as caught:
+        with pytest.raises(CircuitOpenError, match="level level") as caught:
             await pool.run(hang)
         assert 1 <= caught.value.retry_after_s <= 30
-        started = pool.tally.started
+        started = pool.counters.started
         other = order("map").model_copy(update={"level": OTHER_LEVEL})
         assert isinstance(await pool.run(other), PlanAnswer)
-        assert pool.tally.started <= started + 1
+        assert pool.counters.started <= started + 1
 
     with_pool(scenario, render_timeout_s=0.3)
 
 
 def test_a_timeout_is_no_failed_start(monkeypatch: pytest.MonkeyPatch):
     """Else the next process would come only after pauses that double."""
-    monkeypatch.setattr(pool_module, "FIRST_PAUSE_S", 1000.0)
+    monkeypatch.setattr(pool_module, "INITIAL_BACKOFF_S", 1000.0)
 
     async def scenario(pool: Pool) -> None:
         for number in range(3):
@@ -178,13 +178,13 @@ def test_a_job_whose_processes_die_is_tried_twice():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerCrashError):
             await pool.run(order("crash"))
-        assert pool.tally.retried == 1
+        assert pool.counters.retried == 1
 
     with_pool(scenario)
 
 
-def pending(job, came_s: float) -> PendingJob:
-    return PendingJob(job, None, came_s)  # type: ignore[arg-type]
+def pending(job, arrived_s: float) -> PendingJob:
+    return PendingJob(job, None, arrived_s)  # type: ignore[arg-type]
 
 
 def test_light_jobs_pass_heavy_ones_but_not_for_ever():
@@ -235,7 +235,7 @@ def test_expected_times_follow_what_was_measured():
 
 def test_set_aside_levels_come_back_and_stay_away_longer_each_time():
     now = [0.0]
-    aside = SetAside(lambda: now[0])
+    aside = CircuitBreaker(lambda: now[0])
     aside.failed(block(0))
     assert aside.seconds_left(block(0)) == 0.0
     aside.failed(block(1))
@@ -252,7 +252,7 @@ def test_set_aside_levels_come_back_and_stay_away_longer_each_time():
 
 
 def test_what_a_request_asks_for_sets_aside_only_what_asks_the_same():
-    aside = SetAside(lambda: 0.0)
+    aside = CircuitBreaker(lambda: 0.0)
     for _ in range(2):
         aside.failed(view(algorithm="shadow_volume"))
     assert aside.seconds_left(view((100, 100), algorithm="shadow_volume")) > 0.0
@@ -306,5 +306,5 @@ def test_a_fake_process_answers_pings():
         assert pool.pids == {pid}
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool_module, "PING_EVERY_S", 0.05)
+        patch.setattr(pool_module, "HEARTBEAT_INTERVAL_S", 0.05)
         with_pool(scenario, fake_workers.obedient)

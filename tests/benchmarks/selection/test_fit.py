@@ -12,7 +12,7 @@ from benchmarks.selection.policies import FOLDS, held_out_views, terrains
 from skugga.selector.cost.error_model import (
     ERROR_OFFSET,
     INTERIOR_OFFSET,
-    LEAST_SPREAD,
+    MIN_SPREAD,
     ErrorModel,
     HillCurve,
     SharedErrors,
@@ -97,7 +97,7 @@ def test_errors_that_known_constants_made_give_them_back():
     assert found.perspective == pytest.approx(TRUE.perspective, rel=0.05)
     assert found.floor["shadow_map"] == pytest.approx(2e-3, rel=0.1)
     assert found.floor["perspective_shadow_map"] == pytest.approx(1e-3, rel=0.1)
-    assert found.spread["shadow_map"] == found.spread["perspective_shadow_map"] == LEAST_SPREAD  # nothing scatters
+    assert found.spread["shadow_map"] == found.spread["perspective_shadow_map"] == MIN_SPREAD  # nothing scatters
     again = [(one.expected(found).wrong_cast, one.error) for one in made()]
     assert np.allclose(*np.transpose(again), rtol=0.02, atol=ERROR_OFFSET / 10.0)
     assert np.ptp([error for _, error in again]) > 0.3  # from fine to coarse, else nothing would be told
@@ -124,7 +124,7 @@ def test_floors_scales_and_what_lies_inside_are_those_of_the_rows():
     found = fit_model([*made(), *rows])
     assert found.floor["shadow_volume"] == pytest.approx(0.02, rel=0.01)
     assert found.spread["shadow_volume"] == pytest.approx(0.3, rel=0.03)
-    assert found.floor["sweep"] == pytest.approx(0.004, rel=1e-6) and found.spread["sweep"] == LEAST_SPREAD
+    assert found.floor["sweep"] == pytest.approx(0.004, rel=1e-6) and found.spread["sweep"] == MIN_SPREAD
     assert found.floor["hybrid"] == found.floor[DECIMATED] == 0.0  # of which there is no row
     its = 0.004 * CAST
     assert found.interior["sweep"] == pytest.approx((0.1 * its + INTERIOR_OFFSET) / (its + INTERIOR_OFFSET))

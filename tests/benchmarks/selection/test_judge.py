@@ -20,7 +20,7 @@ from benchmarks.selection.judge import (
     single_best,
     stand_in,
 )
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 
 Figures = dict[str, Any]
 
@@ -199,7 +199,7 @@ def test_what_a_choice_takes_itself_counts():
 
 
 def test_an_error_inside_is_told_where_something_clean_would_have_met_the_target():
-    leaky = row(1.0, 0.0, 2.0 * MOST_INTERIOR)
+    leaky = row(1.0, 0.0, 2.0 * MAX_INTERIOR)
     right, wrong = (view | {"rows": view["rows"] | {"leaky": leaky}} for view in (QUICK, NOTHING))
     every = instances_of([right, SLOW, wrong], [THREE])
     best = taken("quick", "slow", "slow")

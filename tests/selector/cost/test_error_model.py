@@ -12,7 +12,7 @@ from skugga.selector.cost.error_model import (
     ASSUMED_CASTING,
     ERROR_OFFSET,
     INTERIOR_OFFSET,
-    LEAST_SPREAD,
+    MIN_SPREAD,
     ErrorModel,
     ExpectedErrors,
     HillCurve,
@@ -31,7 +31,7 @@ from skugga.shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMa
 from skugga.shadows.plan import Step
 from skugga.shadows.sweep.settings import SweepSettings
 from skugga.shadows.sweep.sweep import DECIMATED
-from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MAX_INTERIOR
 from skugga.shadows.volumes.settings import VolumeSettings
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
@@ -220,7 +220,7 @@ def test_a_kind_that_throws_nothing_on_what_is_seen_adds_nothing_and_an_unknown_
     unknown = described(lights={})
     assert step_castings(unknown, SUN, drawn) == [("meshes", ASSUMED_CASTING), ("forest", ASSUMED_CASTING)]
     assert expected_errors(unknown, SUN, [drawn], MODEL).wrong_cast > MODEL.floor["shadow_map"]
-    assert expected_errors(described(), SUN, [], MODEL) == ExpectedErrors(0.0, 0.0, 0.0, LEAST_SPREAD, LEAST_SPREAD)
+    assert expected_errors(described(), SUN, [], MODEL) == ExpectedErrors(0.0, 0.0, 0.0, MIN_SPREAD, MIN_SPREAD)
 
 
 def test_a_sweep_of_decimated_ground_has_a_floor_of_its_own():
@@ -275,22 +275,22 @@ def test_chances_are_even_at_what_is_expected_and_sure_far_away():
     # Three times what is expected, with a thousandth added to both: odds of (21 / 61) ** (1 / 0.5).
     odds = ((0.02 + ERROR_OFFSET) / (0.06 + ERROR_OFFSET)) ** 2
     assert its.probability_over(0.06) == pytest.approx(odds / (1.0 + odds))
-    assert errors(0.9, spread=LEAST_SPREAD).probability_over(1e-9) <= 1.0  # and no overflow
+    assert errors(0.9, spread=MIN_SPREAD).probability_over(1e-9) <= 1.0  # and no overflow
 
 
 def test_what_is_wrong_inside_makes_a_target_missed_however_much_is_allowed():
-    assert errors(0.001, interior=MOST_INTERIOR).probability_over(1.0) == pytest.approx(0.5)
-    over = errors(0.001, interior=10.0 * MOST_INTERIOR).probability_over(1.0)
-    ratio = (10.0 * MOST_INTERIOR + INTERIOR_OFFSET) / (MOST_INTERIOR + INTERIOR_OFFSET)
+    assert errors(0.001, interior=MAX_INTERIOR).probability_over(1.0) == pytest.approx(0.5)
+    over = errors(0.001, interior=10.0 * MAX_INTERIOR).probability_over(1.0)
+    ratio = (10.0 * MAX_INTERIOR + INTERIOR_OFFSET) / (MAX_INTERIOR + INTERIOR_OFFSET)
     assert over == pytest.approx(1.0 / (1.0 + exp(-log(ratio) / 0.4)))
 
 
-@given(st.floats(0.0, 1.0), st.floats(1e-4, 1.0), st.floats(1.0, 10.0), st.floats(LEAST_SPREAD, 2.0), st.floats(0.0, 0.01))
+@given(st.floats(0.0, 1.0), st.floats(1e-4, 1.0), st.floats(1.0, 10.0), st.floats(MIN_SPREAD, 2.0), st.floats(0.0, 0.01))
 def test_a_chance_falls_with_what_is_allowed_and_grows_with_what_is_expected(expected, allowed, times, spread, interior):
     its = errors(expected, interior, spread)
     assert 0.0 <= its.probability_over(allowed * times) <= its.probability_over(allowed) <= 1.0
     assert errors(min(expected * times, 1.0), interior, spread).probability_over(allowed) >= its.probability_over(allowed)
-    likely = expected <= allowed and interior <= MOST_INTERIOR
+    likely = expected <= allowed and interior <= MAX_INTERIOR
     assert (its.probability_over(allowed) <= 0.5) == likely or abs(its.probability_over(allowed) - 0.5) < 1e-9
 
 
@@ -298,4 +298,4 @@ def test_the_constants_that_come_with_the_package_are_those_of_every_manner():
     model = packaged_model()
     for its in (model.floor, model.interior, model.spread, model.interior_spread):
         assert set(its) == set(error_groups()) and min(its.values()) >= 0.0
-    assert min(model.spread.values()) >= LEAST_SPREAD and set(model.counted) == {"relief", "meshes", "forest"}
+    assert min(model.spread.values()) >= MIN_SPREAD and set(model.counted) == {"relief", "meshes", "forest"}

@@ -90,12 +90,12 @@ def test_what_is_timed_is_what_a_frame_draws(gl, scene):
     clear_caches("light")
     frame = render_frame(scene, view, plan)
     ((picture, _),) = pictures
-    assert len(picture.buffer.there) > picture.rows == view.rows
+    assert len(picture.buffer.valid) > picture.rows == view.rows
     triangles = {name: record.triangles for name, record in run.log.records.items()}
     assert triangles == {record.name: record.triangles for record in frame.passes if record.name in triangles} != {}
     seen = run.parts[0].copy()
     seen[attached(picture.own, scene, "sun")] = 0.0
-    np.testing.assert_array_equal(np.where(picture.own.there, seen, np.nan), frame.visibility)
+    np.testing.assert_array_equal(np.where(picture.own.valid, seen, np.nan), frame.visibility)
 
 
 @pytest.fixture(scope="module")
@@ -117,15 +117,15 @@ def test_rows_show_what_the_picture_shows_in_haze(gl, hazy):
     plans = [plan_of(hazy, view, **each) for each in asked]
     compared = compare(hazy, view, "eye", plans=plans, time_limit_s=0.0)
     buffer = geometry_buffer(hazy, view)
-    hidden = buffer.there & ~without_hidden_points(buffer, hazy, "sun", {"haze"}).there
+    hidden = buffer.valid & ~without_hidden_points(buffer, hazy, "sun", {"haze"}).valid
     for row, plan in zip(compared.rows, plans, strict=True):
         frame = render_frame(hazy, view, plan)
         shown = np.rint(255.0 * np.nan_to_num(frame.visibility, nan=1.0)).astype(np.uint8)
         np.testing.assert_array_equal(row.visibility, np.where(hidden, 255, shown))
         clear = fill_steps(plan.steps_under("sun"), buffer, hazy, find_casters(hazy, buffer), (), PassLog())
-        assert min(np.count_nonzero((clear < 0.5) & there) for there in (hidden, buffer.there & ~hidden)) > 50
+        assert min(np.count_nonzero((clear < 0.5) & valid) for valid in (hidden, buffer.valid & ~hidden)) > 50
         assert not (row.false_shadow | row.missed_shadow)[hidden].any()
-        assert not compared.there[hidden].any()
+        assert not compared.valid[hidden].any()
         assert row.figures["wrong_cast"] == measure_plan(hazy, view, plan).figures["wrong_cast"]
 
 
@@ -164,8 +164,8 @@ def test_soft_edges_are_held_against_the_disc(gl, scene):
 def test_rows_say_what_they_drew(gl, compared):
     """The class of a visibility and the wrong pixels agree with one another and with the figures."""
     for row in compared.rows:
-        assert row.visibility.dtype == np.uint8 and row.visibility.shape == compared.there.shape
-        assert (row.visibility[~compared.there] == 255).all()
+        assert row.visibility.dtype == np.uint8 and row.visibility.shape == compared.valid.shape
+        assert (row.visibility[~compared.valid] == 255).all()
         assert (row.visibility[row.false_shadow] < 128).all() and (row.visibility[row.missed_shadow] > 127).all()
         assert not (row.false_shadow & row.missed_shadow).any()
     rows = {row.figures["name"]: row for row in compared.rows}
@@ -233,7 +233,7 @@ def test_texels_of_a_perspective_map_follow_the_eye(gl, scene):
     """In the picture they are more even than one uniform map's, and smaller at their largest; twice as many are half as large."""
     view = scene.view("eye")
     buffer: GeometryBuffer = geometry_buffer(scene, view)
-    floor = buffer.there & (buffer.height_m == 0.0)
+    floor = buffer.valid & (buffer.height_m == 0.0)
     spread, largest = {}, {}
     for name in ("shadow_map", "perspective_shadow_map"):
         (step,) = plan_of(scene, view, algorithm={"relief": name, "meshes": name}, map_size=512, cascades=1).steps

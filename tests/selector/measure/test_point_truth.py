@@ -64,7 +64,7 @@ def test_a_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
     assert truth.every == 2
     for number in (0, 3):
         lattice = truth.lattice(number)
-        for field in ("lit", "attached", "there"):
+        for field in ("lit", "attached", "valid"):
             assert np.array_equal(getattr(lattice.truth, field), lattice.at_points(getattr(whole, field)))
         differ = lattice.truth.decidable != lattice.at_points(whole.decidable)
         assert differ.mean() < 1e-3

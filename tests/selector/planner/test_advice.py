@@ -17,12 +17,12 @@ from skugga.selector.planner.advice import NO_RULE, choices_by_rules
 from skugga.selector.planner.advice_rules import (
     CLOSED_SHARE,
     COARSE_TEXEL_PX,
-    LEAST_GAIN,
     MAX_FEW_TRIANGLES,
     MAX_SMALL_SHADOW_SHARE,
     MAX_VISIBLE_LIT_SHARE,
     MIN_BEHIND_ANGLE_DEG,
     MIN_COMPLEX_LAYERS,
+    MIN_GAIN,
     REFERENCE_MAP_TEXELS,
     RULES,
     SHARP_TEXEL_PX,
@@ -201,7 +201,8 @@ def test_a_light_behind_the_camera_takes_a_map():
 
 def test_near_and_complex_shadows_take_the_hybrid_and_far_ones_a_map():
     for texel_px, layers, name in (
-        (1.01 * COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "complex shadows from near"), (1.01 * COARSE_TEXEL_PX, 0.9 * MIN_COMPLEX_LAYERS, None),
+        (1.01 * COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "complex shadows from near"),
+        (1.01 * COARSE_TEXEL_PX, 0.9 * MIN_COMPLEX_LAYERS, None),
         (0.99 * COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "far from every edge"), (0.99 * COARSE_TEXEL_PX, 0.0, "far from every edge"),
     ):  # fmt: skip
         assert rule_of(sun_over("meshes", lights=near_by(texel_px, volume_layers=layers))) == name
@@ -210,7 +211,7 @@ def test_near_and_complex_shadows_take_the_hybrid_and_far_ones_a_map():
 def test_little_seen_of_much_takes_a_perspective_map():
     for share, far_m, name in (
         (MAX_VISIBLE_LIT_SHARE, 1024.0, "small part of the lit area seen"), (1.01 * MAX_VISIBLE_LIT_SHARE, 1024.0, None),
-        (MAX_VISIBLE_LIT_SHARE, 16.0 * LEAST_GAIN, "small part of the lit area seen"), (MAX_VISIBLE_LIT_SHARE, 15.0 * LEAST_GAIN, None),
+        (MAX_VISIBLE_LIT_SHARE, 16.0 * MIN_GAIN, "small part of the lit area seen"), (MAX_VISIBLE_LIT_SHARE, 15.0 * MIN_GAIN, None),
     ):  # fmt: skip
         bands = [band(16.0, 32.0), band(32.0, far_m)]
         assert rule_of(sun_over("meshes", bands=bands, lights=near_by(2 * COARSE_TEXEL_PX, area_share=share))) == name

@@ -154,8 +154,8 @@ def test_the_passes_that_ran_are_the_plan_s(gl, scene, sun, algorithm):
         assert [record.name for record in frame.passes] == frame.plan.passes
         assert all(record.ms >= 0 for record in frame.passes)
         drew = sum(record.draws for record in frame.passes)
-        assert drew == 0 or (sun[1] > 0 and frame.there.any())
-        assert drew > 0 or algorithm is None or sun[1] < 0 or not frame.there.any()
+        assert drew == 0 or (sun[1] > 0 and frame.valid.any())
+        assert drew > 0 or algorithm is None or sun[1] < 0 or not frame.valid.any()
 
 
 def test_a_renderer_that_skips_a_listed_pass_is_caught(gl, scene, monkeypatch):
@@ -164,7 +164,7 @@ def test_a_renderer_that_skips_a_listed_pass_is_caught(gl, scene, monkeypatch):
 
     def lazy(buffer, scene, light, kinds, casters, settings, log):
         with log.run(log.named(light, kinds, shadow_map.PASSES)[1]):
-            return np.ones(buffer.there.shape, np.float32)
+            return np.ones(buffer.valid.shape, np.float32)
 
     monkeypatch.setitem(ALGORITHMS, "shadow_map", replace(ALGORITHMS["shadow_map"], fill=lazy))
     with pytest.raises(RenderError, match="are not the plan's"):

@@ -43,7 +43,7 @@ def shaded(make_scene, raster, azimuth: float, altitude: float, **how) -> float:
 def wrong_inside(seen: np.ndarray, real: Truth, buffer: GeometryBuffer) -> np.ndarray:
     """Pixels of the wrong class beyond two pixels of a shadow's edge and of where ground and meshes touch."""
     touching = binary_dilation(buffer.kind == MESHES) & (buffer.kind != MESHES)
-    return real.there & ~binary_dilation(~real.decidable | touching, iterations=2) & ((seen >= 0.5) != real.lit)
+    return real.valid & ~binary_dilation(~real.decidable | touching, iterations=2) & ((seen >= 0.5) != real.lit)
 
 
 # -- bias
@@ -75,7 +75,7 @@ def test_shadows_are_right_away_from_their_edges(gl, tmp_path, bias, light):
     view = scene.view("eye")
     seen, buffer = visibility(scene, view, light, bias=bias, filter=1, map_size=4096)
     real = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
-    assert (real.there & ~real.lit & ~real.attached).mean() > 0.03
+    assert (real.valid & ~real.lit & ~real.attached).mean() > 0.03
     assert not wrong_inside(seen, real, buffer).any()
 
 

@@ -56,7 +56,7 @@ def dark_in(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> tuple[
     (step,) = plan.steps
     receivers = receivers_of(buffer, scene, step.light)
     seen = shadow_map.fill(receivers, scene, step.light, step.kinds, find_casters(scene, buffer), step.settings, PassLog())
-    return (seen < 0.5) | attached(buffer, scene), buffer.there
+    return (seen < 0.5) | attached(buffer, scene), buffer.valid
 
 
 def overlap(one: np.ndarray, other: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -72,14 +72,14 @@ def flickers(scene: Scene, view: MapView | PerspectiveView, **asked) -> list[flo
     A map's shifts are drawn by plans of their own, a perspective view's by one, whose texels change in steps as it moves.
     """
     plan = plan_for(scene, view, **asked)
-    before, there = dark_in(scene, view, plan)
+    before, valid = dark_in(scene, view, plan)
     shares = []
     for rows, cols in SHIFTS:
         moved = view.shifted(rows, cols)
         its_plan = plan_for(scene, moved, **asked) if isinstance(moved, MapView) else plan
         after, there_too = dark_in(scene, moved, its_plan)
         dark, next_dark = overlap(before, after, rows, cols)
-        comparable = np.logical_and(*overlap(there, there_too, rows, cols))
+        comparable = np.logical_and(*overlap(valid, there_too, rows, cols))
         assert comparable.mean() > 0.3 and 0.05 < dark[comparable].mean() < 0.95
         nowhere = np.zeros_like(dark)
         shares.append(flicker(dark, next_dark, nowhere, nowhere, comparable))

@@ -12,7 +12,7 @@ import trimesh
 
 from skugga.shadows.attached import attached
 from skugga.shadows.render import Frame
-from skugga.shadows.truth.metrics import MOST_INTERIOR, error_metrics
+from skugga.shadows.truth.metrics import MAX_INTERIOR, error_metrics
 from skugga.shadows.truth.truth import trace_truth
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
@@ -164,7 +164,7 @@ def test_an_omni_light_shines_and_is_blocked_in_all_directions(gl, floor, make_s
         off = np.abs(point - LAMP)
         margin = 1e-3 if algorithm == "truth" else 0.03  # a texel of 20 mm and a half
         # Where two walls meet, a texel's middle may lie on the other one.
-        wall = frame.there & (np.abs(off.max(axis=-1) - ROOM_M) < 1e-3) & (np.sort(off, axis=-1)[..., 1] < ROOM_M - margin)
+        wall = frame.valid & (np.abs(off.max(axis=-1) - ROOM_M) < 1e-3) & (np.sort(off, axis=-1)[..., 1] < ROOM_M - margin)
         assert wall.mean() > 0.5
         points = point[wall]
         surely_dark = np.any([inside_segment(LAMP, points, cube, 0.7 - margin) for cube in cubes], axis=0)
@@ -185,7 +185,7 @@ def test_a_spot_straight_up_lights_a_ceiling(gl, floor, make_scene, tmp_path):
     lamp = {"kind": "spot", "position": [0, 0, 2], "target": [0, 0, 20], "cutoff": 30.0}
     scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[boxes(tmp_path, *parts)], views=views)
     frame = render_points(scene, scene.view("eye"), map_size=1024, filter=1)
-    ceiling = frame.there & (np.abs(frame.height_m - 20.0) < 1e-3)
+    ceiling = frame.valid & (np.abs(frame.height_m - 20.0) < 1e-3)
     x, y = frame.position_earth_m[ceiling][:, :2].T
     disc = np.hypot(x, y) - 18.0 * np.tan(np.radians(30.0))
     hole = np.maximum(np.abs(x), np.abs(y)) - 18.0 / 7.0  # of the cube's underside, 7 m above the lamp
@@ -225,11 +225,11 @@ def test_the_map_of_a_lamp_agrees_with_truth(gl, grove, light, kind):
     buffer = geometry_buffer(grove, view)
     real = trace_truth(buffer, grove, find_casters(grove, buffer), light=light)
     found = error_metrics(frame.visibilities[light], real, describe(grove, view).pixel_m, 1.0)
-    cast = ~real.lit & ~real.attached & real.there
-    assert 0.02 < cast.sum() / real.there.sum() < 0.8 and real.decidable.mean() > 0.3
-    assert found.interior <= MOST_INTERIOR and found.wrong < 0.02 and found.wrong_cast < 0.05
+    cast = ~real.lit & ~real.attached & real.valid
+    assert 0.02 < cast.sum() / real.valid.sum() < 0.8 and real.decidable.mean() > 0.3
+    assert found.interior <= MAX_INTERIOR and found.wrong < 0.02 and found.wrong_cast < 0.05
     dark = frame.visibilities[light] < 0.5
-    assert (dark[attached(buffer, grove, light) & buffer.there]).all()
+    assert (dark[attached(buffer, grove, light) & buffer.valid]).all()
 
 
 def test_a_lamp_with_nothing_before_it_needs_no_map(gl, floor, make_scene, tmp_path):

@@ -32,7 +32,7 @@ def soft(scene: Scene, view: View) -> np.ndarray:
     """Visibility of the sun's disc by rays, attached shadow included."""
     buffer = geometry_buffer(scene, view)
     real = soft_truth(buffer, scene, find_casters(scene, buffer))
-    return np.where(attached(buffer, scene) & buffer.there, 0.0, real)
+    return np.where(attached(buffer, scene) & buffer.valid, 0.0, real)
 
 
 def difference(seen: np.ndarray, real: np.ndarray) -> float:
@@ -175,7 +175,7 @@ def test_no_light_where_a_body_touches_the_ground(gl, tmp_path):
     real = soft(scene, view)
     seen, buffer = visibility(scene, view, filter="sun", map_size=2048)
     touching = binary_dilation(buffer.kind == MESHES) & (buffer.kind != MESHES)
-    umbra, lit = (buffer.there & ~binary_dilation((real != value) | touching, iterations=2) for value in (0.0, 1.0))
+    umbra, lit = (buffer.valid & ~binary_dilation((real != value) | touching, iterations=2) for value in (0.0, 1.0))
     assert umbra.mean() > 0.03 and lit.mean() > 0.3
     assert seen[umbra].max() < 0.1 and (seen[umbra] > 0.01).mean() < 1e-3
     assert seen[lit].min() > 0.9
@@ -187,9 +187,9 @@ def test_a_strip_is_the_same_from_both_neighbours(gl):
     block = block_at(-84.25, 36.2933, 13)
     strip = 64
     here = visibility(scene, block.part(0, 0, 256, 256), filter="sun", map_size=8192)[0][:, -strip:]
-    there = visibility(scene, block.part(0, 256 - strip, 256, 256), filter="sun", map_size=8192)[0][:, :strip]
+    shared_strip = visibility(scene, block.part(0, 256 - strip, 256, 256), filter="sun", map_size=8192)[0][:, :strip]
     assert ((here > 0.05) & (here < 0.95)).mean() > 1e-3
-    assert ((here < 0.5) != (there < 0.5)).mean() <= 1e-4 and np.nanmean(np.abs(here - there)) < 1e-4
+    assert ((here < 0.5) != (shared_strip < 0.5)).mean() <= 1e-4 and np.nanmean(np.abs(here - shared_strip)) < 1e-4
 
 
 # -- plans

@@ -17,7 +17,7 @@ from skugga.shadows.maps import perspective_shadow_map
 from skugga.shadows.maps.post_perspective import CONE_DEG
 from skugga.shadows.maps.settings import PerspectiveMapSettings
 from skugga.shadows.passes import PassLog
-from skugga.shadows.truth.metrics import MOST_INTERIOR, error_metrics
+from skugga.shadows.truth.metrics import MAX_INTERIOR, error_metrics
 from skugga.shadows.truth.truth import coverage_truth, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters.reach import find_casters
@@ -46,7 +46,7 @@ def fill(
     receivers = receivers_of(buffer, scene, light)
     seen = perspective_shadow_map.fill(receivers, scene, light, kinds, find_casters(scene, buffer), settings, log)
     seen[attached(buffer, scene, light)] = 0.0
-    seen[~buffer.there] = np.nan
+    seen[~buffer.valid] = np.nan
     return seen, log
 
 
@@ -75,7 +75,7 @@ def test_planes_are_lit_whatever_their_slope(gl, write_raster, make_scene, slope
         for light in ("sun", "lamp"):
             for taps in (1, 2, 3, 5) if bits == 24 else (3,):
                 seen, _ = fill(buffer, scene, light, filter=taps, depth_bits=bits, map_size=256)
-                receivers = buffer.there & ~attached(buffer, scene, light)
+                receivers = buffer.valid & ~attached(buffer, scene, light)
                 assert (seen[receivers] == 1.0).all(), (light, altitude, aside, taps)
 
 
@@ -86,7 +86,7 @@ def test_a_plane_that_faces_the_sun_has_no_depth_and_no_acne(gl, write_raster, m
     scene = make_scene(raster, 180, 50, views=views)
     buffer = geometry_buffer(scene, scene.view("eye"))
     for bits in (16, 24, 32):
-        assert (fill(buffer, scene, "sun", depth_bits=bits)[0][buffer.there] == 1.0).all()
+        assert (fill(buffer, scene, "sun", depth_bits=bits)[0][buffer.valid] == 1.0).all()
 
 
 def test_without_bias_there_is_acne(gl, write_raster, make_scene):
@@ -113,8 +113,8 @@ def check_against_truth(scene: Scene, light: str) -> None:
     seen, log = fill(buffer, scene, light, map_size=2048)
     real = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
     found = error_metrics(seen, real, describe(scene, view, "eye").pixel_m)
-    assert (real.there & ~real.lit & ~real.attached).mean() > 0.005 and real.decidable.mean() > 0.5
-    assert found.interior <= MOST_INTERIOR and found.interior_parts == 0, (light, found, log.records)
+    assert (real.valid & ~real.lit & ~real.attached).mean() > 0.005 and real.decidable.mean() > 0.5
+    assert found.interior <= MAX_INTERIOR and found.interior_parts == 0, (light, found, log.records)
     assert found.edge_p95 <= 1.5 and found.missed_shadow < 0.02 and found.wrong_cast < 0.03  # interior sees no thin shadow
 
 
@@ -147,7 +147,7 @@ def test_a_tower_behind_the_eye_throws_its_shadow_into_the_view(gl, tmp_path):
     x, y = (buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m)[..., :2].transpose(2, 0, 1)
     inside = (np.abs(x) < 1.9) & (y < 4.9)  # its roof's far edge lies at -25, and 30 m on
     outside = (np.abs(x) > 2.1) | (y > 5.1)
-    assert inside[buffer.there].sum() > 500 and dark[inside & buffer.there].all() and not dark[outside & buffer.there].any()
+    assert inside[buffer.valid].sum() > 500 and dark[inside & buffer.valid].all() and not dark[outside & buffer.valid].any()
 
 
 def test_trees_throw_the_shade_that_rays_find(gl, write_raster, make_scene, tmp_path):
@@ -166,7 +166,7 @@ def test_trees_throw_the_shade_that_rays_find(gl, write_raster, make_scene, tmp_
         seen, _ = fill(buffer, scene, light, filter=3)
         shares = coverage_truth(buffer, scene, find_casters(scene, buffer), 16, light=light)
         shade = np.nan_to_num(1.0 - seen, nan=0.0).reshape(10, 16, 12, 16).mean(axis=(1, 3))
-        whole = buffer.there.reshape(10, 16, 12, 16).all(axis=(1, 3))
+        whole = buffer.valid.reshape(10, 16, 12, 16).all(axis=(1, 3))
         assert np.abs(shade - shares)[whole].mean() < 0.04 and 0.1 < shares[whole].mean() < 0.9
 
 
@@ -245,29 +245,29 @@ def wide_view(tmp_path: Path, **view: Any) -> Scene:
 
 def maps_of(scene: Scene, buffer: GeometryBuffer, map_size: int) -> list[perspective_shadow_map.FittedMap]:
     settings = PerspectiveMapSettings(map_size=map_size, depth_bits=24, filter=1)
-    return perspective_shadow_map.perspective_maps(buffer, buffer.there & ~attached(buffer, scene), scene, "sun", settings, None)
+    return perspective_shadow_map.perspective_maps(buffer, buffer.valid & ~attached(buffer, scene), scene, "sun", settings, None)
 
 
 def test_what_one_map_is_too_coarse_for_is_parted(gl, tmp_path):
     """Every receiver is in one map, and truth agrees as far as texels displace edges; fewer texels need more maps."""
     scene = wide_view(tmp_path, eye=[2, -18, 0.4], target=[0, 10, -1], fov=120)
     buffer = geometry_buffer(scene, scene.view("eye"))
-    receivers = np.flatnonzero(buffer.there & ~attached(buffer, scene))
+    receivers = np.flatnonzero(buffer.valid & ~attached(buffer, scene))
     counts = []
     for map_size in (2048, 256):
         maps = maps_of(scene, buffer, map_size)
         counts.append(len(maps))
         np.testing.assert_array_equal(np.sort(np.concatenate([each.drawn.pixels for each in maps])), receivers)
-    assert counts[0] < counts[1] <= perspective_shadow_map.MOST_RANGES
+    assert counts[0] < counts[1] <= perspective_shadow_map.MAX_RANGES
     whole = perspective_shadow_map.perspective_map(
         buffer,
-        buffer.there & ~attached(buffer, scene),
+        buffer.valid & ~attached(buffer, scene),
         scene,
         "sun",
         PerspectiveMapSettings(map_size=256, depth_bits=24, filter=1),
         None,
     )
-    assert whole.texel_px > perspective_shadow_map.MOST_TEXEL_PX
+    assert whole.texel_px > perspective_shadow_map.MAX_TEXEL_PX
     assert max(each.texel_px for each in maps) < whole.texel_px
     seen, _ = fill(buffer, scene, "sun", map_size=1024)
     errors = error_metrics(seen, trace_truth(buffer, scene, find_casters(scene, buffer)), 1.0)
@@ -277,4 +277,4 @@ def test_what_one_map_is_too_coarse_for_is_parted(gl, tmp_path):
 def test_a_usual_view_has_one_map(gl, tmp_path):
     scene = wide_view(tmp_path)
     (only,) = maps_of(scene, geometry_buffer(scene, scene.view("eye")), 1024)
-    assert only.texel_px <= perspective_shadow_map.MOST_TEXEL_PX
+    assert only.texel_px <= perspective_shadow_map.MAX_TEXEL_PX

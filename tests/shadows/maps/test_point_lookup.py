@@ -95,7 +95,7 @@ def test_trees_that_are_left_out_shade_nothing(gl, landscape, monkeypatch, taps,
     with monkeypatch.context() as patch:
         patch.setattr(drawing, "relevant_trees", every)
         all_of_them = drawn(scene, filter=taps)
-    assert counts and all(chosen < there for chosen, there in counts) and any(chosen > 0 for chosen, _ in counts)
+    assert counts and all(chosen < total for chosen, total in counts) and any(chosen > 0 for chosen, _ in counts)
     np.testing.assert_array_equal(few.visibility, all_of_them.visibility)
 
 

@@ -55,10 +55,10 @@ def test_holes_and_islands_throw_no_walls(gl, write_raster, make_scene, algorith
     heights[10, 10] = -9999.0
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 800, 10.0, nodata=-9999.0), 201, 5)
     frame = render(scene, scene.view(size=(400, 400)), algorithm=algorithm)
-    assert not frame.there[150:250, 150:250].any()
+    assert not frame.valid[150:250, 150:250].any()
     assert np.nanmin(frame.visibility) == 1.0
     island = np.full((80, 80), -9999.0, np.float32)
     island[40, 40] = 10.0
     alone = make_scene(write_raster(island, ENGINEERING, 0, 800, 10.0, name="island.tif", nodata=-9999.0), 201, 5)
     frame = render(alone, alone.view(size=(400, 400)), algorithm=algorithm)
-    assert frame.there.sum() == 25 and np.nanmin(frame.visibility) == 1.0
+    assert frame.valid.sum() == 25 and np.nanmin(frame.visibility) == 1.0

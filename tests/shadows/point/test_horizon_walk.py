@@ -100,9 +100,9 @@ def test_north_is_true_north(write_raster, make_scene):
     heights[20, 100] = 3000.0
     x0, y0, crs = 90_000.0, 7_000_000.0, CRS.from_epsg(32633)
     scene = make_scene(write_raster(heights, "EPSG:32633", x0, y0, 100.0))
-    here, there = ((x0 + 100.5 * 100.0, y0 - (row + 0.5) * 100.0) for row in (100, 20))
+    here, far = ((x0 + 100.5 * 100.0, y0 - (row + 0.5) * 100.0) for row in (100, 20))
     place = place_at(scene, here, crs)
-    lon, lat = Proj("EPSG:32633")(*there, inverse=True)
+    lon, lat = Proj("EPSG:32633")(*far, inverse=True)
     azimuth, _, distance = WGS84.inv(place.lon_deg, place.lat_deg, lon, lat)
     assert abs((azimuth + 180) % 360 - 180) > 5.0
     near = azimuth + np.arange(-100, 101) * 0.01

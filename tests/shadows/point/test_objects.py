@@ -116,7 +116,7 @@ def test_shade_is_the_engines_own(village):
         view = scene.view(bounds=(500_004.0, 5_299_756.0, 500_256.0, 5_299_996.0), size=(63, 60))
         buffer = geometry_buffer(scene, view)
         truth = trace_truth(buffer, scene, find_casters(scene, buffer))
-        sure = np.argwhere(truth.decidable & (buffer.kind == RELIEF) & buffer.there)
+        sure = np.argwhere(truth.decidable & (buffer.kind == RELIEF) & buffer.valid)
         assert len(sure) > 1000
         for i, j in sure[:: len(sure) // 150]:
             at = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
@@ -155,7 +155,7 @@ def test_on_columns_shade_is_the_engines_own(tmp_path, make_scene):
     buffer = geometry_buffer(scene, view)
     truth = trace_truth(buffer, scene, find_casters(scene, buffer))
     dark = 0
-    for i, j in np.argwhere(truth.decidable & buffer.there)[::9]:
+    for i, j in np.argwhere(truth.decidable & buffer.valid)[::9]:
         at = float(view.grid.x(view.col0 + j * view.col_step)), float(view.grid.y(view.row0 + i * view.row_step))
         place = place_at(scene, at, view.grid.crs)
         assert place.ground_m == heights[i, j]

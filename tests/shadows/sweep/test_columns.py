@@ -48,7 +48,7 @@ def test_a_part_of_a_city_on_the_globe_is_as_rays_find_it(
     quarter = (west * 0.6 + east * 0.4, south * 0.4 + north * 0.6, west * 0.2 + east * 0.8, south * 0.2 + north * 0.8)
     buffer = geometry_buffer(scene, scene.view(crs=crs, bounds=quarter, size=(160, 160)))
     casters = find_casters(scene, buffer)
-    assert casters.patches and buffer.there.all()
+    assert casters.patches and buffer.valid.all()
     rays = ray_scene(buffer, scene, casters, ALL_KINDS)
     log = PassLog(requested_layers=frozenset({"shadow-height"}))
     lit = swept(buffer, scene, log) > 0.5
@@ -84,7 +84,7 @@ def test_roofs_of_meshes_are_seen_to_beside_the_columns(tmp_path: Path):
     assert solid.any()
     rays = ray_scene(buffer, scene, casters, ("relief",))
     lit, expected = swept(buffer, scene) > 0.5, lit_mask(buffer, scene, "sun", rays)
-    facing = buffer.there & (buffer.normal_frame @ scene.sun.in_frame(buffer.frame) > 1e-3)
+    facing = buffer.valid & (buffer.normal_frame @ scene.sun.in_frame(buffer.frame) > 1e-3)
     assert (lit != expected)[facing & ~solid].sum() == 0
     assert (lit != expected)[facing & solid].mean() < 0.01
 

@@ -52,16 +52,16 @@ def test_rows_without_ground_are_not_looked_at(write_raster, make_scene, monkeyp
     view = scene.view(bounds=(3003.0, 3003.0, 5003.0, 5003.0), size=(200, 200))
     buffer = geometry_buffer(scene, view)
     nodes = bare_nodes(scene, MapView(view.grid, float(int(view.row0)), float(int(view.col0)), 1.0, 1.0, 200, 200), 1)
-    of_points = find_casters(scene, buffer)
-    of_points = replace(
-        of_points, culled=frozenset(of_points.patches)
+    at_points = find_casters(scene, buffer)
+    at_points = replace(
+        at_points, culled=frozenset(at_points.patches)
     )  # the sheet is as large as with them, and has no ground there
-    of_nodes = Casters(find_sun_casters(scene, nodes), of_points.reach)
+    of_nodes = Casters(find_sun_casters(scene, nodes), at_points.reach)
     of_nodes = replace(of_nodes, culled=frozenset(of_nodes.patches))
 
     def seen() -> list[np.ndarray]:
         return [
-            fill(buffer, scene, SUN, ("relief",), of_points, SweepSettings(), PassLog()),
+            fill(buffer, scene, SUN, ("relief",), at_points, SweepSettings(), PassLog()),
             fill_nodes(nodes, scene, SUN, ("relief",), of_nodes, SweepSettings(), PassLog()),
         ]
 

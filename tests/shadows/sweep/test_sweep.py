@@ -14,7 +14,7 @@ from skugga.shadows.render import render_frame
 from skugga.shadows.sweep import sweep
 from skugga.shadows.sweep.rays import rays_at
 from skugga.shadows.sweep.settings import SweepSettings
-from skugga.shadows.truth.metrics import MOST_INTERIOR, error_metrics, soft_error
+from skugga.shadows.truth.metrics import MAX_INTERIOR, error_metrics, soft_error
 from skugga.shadows.truth.truth import ray_scene, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters import reach
@@ -117,7 +117,7 @@ def test_far_from_the_anchor_high_ground_stands_where_it_stands(write_raster, ma
     view = scene.view(bounds=(9.75e6, 3.19e6, 9.95e6, 3.31e6), size=(300, 180), crs="EPSG:3857")
     buffer, casters, seen = looked_at(scene, view)
     found = error_metrics(seen, trace_truth(buffer, scene, casters), 700.0)
-    assert 0.02 < seen[buffer.there].mean() < 0.98
+    assert 0.02 < seen[buffer.valid].mean() < 0.98
     assert found.wrong <= 2e-3
 
 
@@ -178,8 +178,8 @@ views:
     buffer, casters, seen = looked_at(scene, scene.view("main"))
     assert buffer.ground is not None and (buffer.ground.tolerance_px > 0.0) == decimated
     found = error_metrics(seen, trace_truth(buffer, scene, casters), 5.0)
-    assert (seen[buffer.there] < 0.5).mean() > 0.02
-    assert found.wrong <= (1.5e-3 if decimated else 3e-4) and found.interior <= MOST_INTERIOR
+    assert (seen[buffer.valid] < 0.5).mean() > 0.02
+    assert found.wrong <= (1.5e-3 if decimated else 3e-4) and found.interior <= MAX_INTERIOR
 
 
 def test_trees_and_houses_stand_in_the_hills_shadow():
@@ -188,7 +188,7 @@ def test_trees_and_houses_stand_in_the_hills_shadow():
     scene = under(scene, 120.0, 6.0)
     view = scene.view("valley", size=(320, 256))
     buffer, casters, seen = looked_at(scene, view)
-    standing = buffer.there & (buffer.kind != RELIEF)
+    standing = buffer.valid & (buffer.kind != RELIEF)
     real = trace_truth(buffer, scene, casters, kinds=("relief",))
     decided = standing & real.decidable & ~real.attached
     assert decided.sum() > 1000 and (~real.lit & decided).sum() > 50
@@ -203,7 +203,7 @@ def test_the_penumbra_of_the_sun_is_as_its_disc_makes_it(jacksboro, tile):
         real = soft_truth(buffer, scene, casters, 64)
         turned = attached(buffer, scene)
         real[turned], seen[turned] = 0.0, 0.0
-        soft = buffer.there & (real > 0.05) & (real < 0.95)
+        soft = buffer.valid & (real > 0.05) & (real < 0.95)
         assert soft.sum() > 200
         assert soft_error(seen, real) < 0.002
         assert np.abs(seen - real)[soft].mean() < 0.1
@@ -272,4 +272,4 @@ views:
     scene = build_scene(load_level(path))
     for name in ("up", "down"):
         _, _, seen = looked_at(scene, scene.view(name))
-        assert (seen[geometry_buffer(scene, scene.view(name)).there] == 1.0).all()
+        assert (seen[geometry_buffer(scene, scene.view(name)).valid] == 1.0).all()

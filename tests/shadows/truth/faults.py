@@ -73,8 +73,8 @@ def _truth() -> tuple[Truth, np.ndarray]:
     """Truth, decidable where a pixel is of one class throughout, and the true shadow share of each pixel."""
     cast, turned_away = _shares(*CAST.values()), _shares(SLOPE)
     share = np.maximum(cast, turned_away)
-    there = np.ones(share.shape, bool)
-    return Truth(share < 0.5, turned_away >= 0.5, (share == 0.0) | (share == 1.0), there), share
+    valid = np.ones(share.shape, bool)
+    return Truth(share < 0.5, turned_away >= 0.5, (share == 0.0) | (share == 1.0), valid), share
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ def test_the_same_content_is_made_once(tmp_path, monkeypatch):
     one = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
     again = cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
     assert len(made) == 1 and one.decidable.any()
-    for name in ("lit", "attached", "decidable", "there"):
+    for name in ("lit", "attached", "decidable", "valid"):
         np.testing.assert_array_equal(getattr(one, name), getattr(again, name))
     (stored,) = tmp_path.glob("*.npz")
     other = BytesIO()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skugga.shadows.truth.metrics import (
-    LEAST_SIGHT,
+    MIN_SIGHT,
     block_shares,
     boundary,
     coverage_error,
@@ -28,14 +28,14 @@ from tests.metrics import flicker
 from tests.shadows.truth import faults
 
 
-def truth(lit, attached=None, decidable=None, there=None) -> Truth:
+def truth(lit, attached=None, decidable=None, valid=None) -> Truth:
     lit = np.asarray(lit, bool)
     full = np.ones(lit.shape, bool)
     return Truth(
         lit,
         ~full if attached is None else np.asarray(attached, bool),
         full if decidable is None else np.asarray(decidable, bool),
-        full if there is None else np.asarray(there, bool),
+        full if valid is None else np.asarray(valid, bool),
     )
 
 
@@ -64,9 +64,9 @@ def test_boundary_pixels_do_not_count():
 
 def test_the_share_in_cast_shadow_is_of_the_surface_and_leaves_out_what_is_turned_away():
     """Of eight pixels that show a surface three are in shadow, one of them attached; none of what is off it counts."""
-    real = truth(strip("1111100000"), attached=strip("0000000100"), there=strip("1111111100"))
+    real = truth(strip("1111100000"), attached=strip("0000000100"), valid=strip("1111111100"))
     assert real.cast == 2 / 8
-    assert truth(strip("00"), there=strip("00")).cast == 0.0
+    assert truth(strip("00"), valid=strip("00")).cast == 0.0
 
 
 def test_visibility_of_one_half_is_lit():
@@ -207,7 +207,7 @@ BLIND_TO = {
 def test_each_metric_moves_under_the_fault_it_is_there_for(metric):
     clean, faulty = faults.figures("none"), faults.figures(MOVED_BY[metric])
     if metric == "interior_sees":
-        assert faulty[metric] < LEAST_SIGHT < clean[metric]
+        assert faulty[metric] < MIN_SIGHT < clean[metric]
     else:
         assert faulty[metric] > 2.0 * clean[metric] and faulty[metric] > 0.0
 
@@ -262,17 +262,17 @@ def test_edges_see_the_components_that_they_meet():
 def test_edges_near_a_pixel_are_told_by_the_pixels_round_it(shape):
     """Blots and holes: whatever lies beyond ``edge_test_region`` does not matter, and what is near is what all distances say."""
     rng = np.random.default_rng(4)
-    there = rng.random(shape) < 0.97
+    valid = rng.random(shape) < 0.97
     dark = np.zeros(shape, bool)
     for row, col in zip(rng.integers(0, shape[0], 3), rng.integers(0, shape[1], 3), strict=True):
         dark[row : row + 9, col : col + 7] = True
-    dark &= there
-    row, col = np.nonzero(there)
+    dark &= valid
+    row, col = np.nonzero(valid)
     for distance in (0.5, 2.0, 3.7, 8.0, 1000.0):
-        far = distance_to_edges_px(dark, there)[row, col] > distance
-        assert np.array_equal(far_from_edges(dark, there, row, col, np.full(len(row), distance)), far)
+        far = distance_to_edges_px(dark, valid)[row, col] > distance
+        assert np.array_equal(far_from_edges(dark, valid, row, col, np.full(len(row), distance)), far)
         for k in range(0, len(row), 97):
             only = row[k : k + 1], col[k : k + 1], np.array([distance])
-            elsewhere = ~edge_test_region(*only, shape) & there
-            assert far_from_edges(dark ^ elsewhere, there, *only)[0] == far[k]
-    assert far_from_edges(there & False, there, row, col, np.full(len(row), 5.0)).all()
+            elsewhere = ~edge_test_region(*only, shape) & valid
+            assert far_from_edges(dark ^ elsewhere, valid, *only)[0] == far[k]
+    assert far_from_edges(valid & False, valid, row, col, np.full(len(row), 5.0)).all()

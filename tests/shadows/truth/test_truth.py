@@ -14,7 +14,7 @@ from skugga.shadows.attached import attached
 from skugga.shadows.maps import shadow_map
 from skugga.shadows.passes import PassLog
 from skugga.shadows.truth import truth
-from skugga.shadows.truth.metrics import MOST_INTERIOR, ErrorMetrics, block_shares, coverage_error, error_metrics, soft_error
+from skugga.shadows.truth.metrics import MAX_INTERIOR, ErrorMetrics, block_shares, coverage_error, error_metrics, soft_error
 from skugga.shadows.truth.truth import Truth, coverage_truth, fill, jittered_views, surface_error, trace_truth
 from skugga.shadows.visibility import receivers_of
 from skugga.terrain.casters.reach import Casters, find_casters
@@ -72,7 +72,7 @@ def usual(scene, view, real) -> ErrorMetrics:
 
 def test_the_shadow_map_is_near_truth(gl, usual):
     """What the defects below are measured against."""
-    assert usual.wrong < 0.005 and usual.wrong_cast < 0.03 and usual.interior < MOST_INTERIOR and usual.edge_p95 <= 2.0
+    assert usual.wrong < 0.005 and usual.wrong_cast < 0.03 and usual.interior < MAX_INTERIOR and usual.edge_p95 <= 2.0
     assert usual.boundary < 0.15
 
 
@@ -137,8 +137,8 @@ def test_pixels_away_from_edges_are_decidable(real):
     from scipy.ndimage import binary_dilation
 
     near = binary_dilation(real.lit, iterations=2) & binary_dilation(~real.lit, iterations=2)
-    undecided = real.there & ~real.decidable
-    assert undecided.any() and (undecided & ~near).sum() <= 0.02 * undecided.sum() + 0.002 * real.there.sum()
+    undecided = real.valid & ~real.decidable
+    assert undecided.any() and (undecided & ~near).sum() <= 0.02 * undecided.sum() + 0.002 * real.valid.sum()
 
 
 def test_more_sub_samples_decide_less(scene, view, real):
@@ -176,7 +176,7 @@ def test_soft_truth_is_between_the_classes_and_hard_far_from_edges(scene, view, 
     soft = soft_truth(buffer, scene, casters, samples=16)
     assert ((soft > 0) & (soft < 1)).mean() > 0.005
     hard = fill(buffer, scene, "sun", ("relief",), casters, truth.TruthSettings(), PassLog())
-    assert soft_error(np.where(buffer.there, hard, np.nan), soft) < 0.1
+    assert soft_error(np.where(buffer.valid, hard, np.nan), soft) < 0.1
     assert ((soft < 0.5) == ~real.lit)[real.decidable].mean() > 0.97
 
 
@@ -184,7 +184,7 @@ def test_coverage_of_truth_by_itself_is_small(scene, view, real):
     buffer, casters = geometry(scene, view)
     shares = coverage_truth(buffer, scene, casters, 16)
     assert np.isfinite(shares).sum() == 256
-    hard = np.where(real.there, (~real.lit).astype(float), np.nan)
+    hard = np.where(real.valid, (~real.lit).astype(float), np.nan)
     assert coverage_error(block_shares(hard), shares) < 0.02
     assert coverage_error(block_shares(1.0 - hard), shares) > 0.3
 

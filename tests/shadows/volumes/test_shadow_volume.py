@@ -77,7 +77,7 @@ class Look:
 
     def finished(self, visibility: np.ndarray) -> np.ndarray:
         out = np.where(attached(self.buffer, self.scene, self.light), np.float32(0.0), visibility)
-        return np.where(self.buffer.there, out, np.nan)
+        return np.where(self.buffer.valid, out, np.nan)
 
     def rays(self) -> np.ndarray:
         """Visibility by rays from the very points, as ``seen``."""
@@ -112,7 +112,7 @@ def check(at: Look, least_dark: float = 0.0, real: Truth | None = None) -> tuple
     found, real = at.seen(), real or at.truth()
     errors = error_metrics(found, real, 1.0)
     assert errors.wrong <= 5e-4 and errors.wrong_cast <= 3e-3 and errors.interior == 0.0, errors
-    assert (real.there & ~real.lit & ~real.attached).sum() >= least_dark * real.there.sum()
+    assert (real.valid & ~real.lit & ~real.attached).sum() >= least_dark * real.valid.sum()
     for way in WAYS:
         np.testing.assert_array_equal(at.seen(**way), found, err_msg=str(way))
     return found, errors
@@ -172,7 +172,7 @@ def test_the_bundled_scenes_are_as_rays_see_them(gl, name, view):
     found = at.seen()
     errors = error_metrics(found, real, 1.0)
     assert errors.wrong <= 5e-4 and errors.wrong_cast <= 3e-3 and errors.interior <= 2e-5 and errors.interior_parts == 0, errors
-    assert (~real.lit & ~real.attached & real.there).sum() > 0.02 * real.there.sum()
+    assert (~real.lit & ~real.attached & real.valid).sum() > 0.02 * real.valid.sum()
     for way in WAYS:
         np.testing.assert_array_equal(at.seen(**way), found, err_msg=str(way))
 
@@ -294,7 +294,7 @@ def test_a_lamp_on_a_body_s_surface(gl, tmp_path):
     scene = level_of(tmp_path, [wall], 0, 0, **BEHIND, sun="none", lights={"lamp": {"kind": "omni", "position": [0.4, 3.0, 4.0]}})
     at = look(scene)
     y = at.buffer.position_frame_m[..., 1]
-    ground = at.buffer.there & (at.buffer.kind == RELIEF)
+    ground = at.buffer.valid & (at.buffer.kind == RELIEF)
     seen = at.seen()
     assert (ground & (y > 3.6)).mean() > 0.2 and (ground & (y < 2.9)).any()
     assert (seen[ground & (y > 3.6)] == 0.0).all() and (seen[ground & (y < 2.9)] == 1.0).all()
@@ -343,7 +343,7 @@ def test_ridges_are_as_the_sweep_sees_them(gl, tmp_path, altitude):
     for at in (look(scene), look(scene, above(scene, 350.0, 50))):
         check_ground(at)
         found = at.seen()
-        assert 0.05 < (found[at.buffer.there] == 0.0).mean() < 0.99
+        assert 0.05 < (found[at.buffer.valid] == 0.0).mean() < 0.99
         np.testing.assert_array_equal(at.seen(counting="z_fail"), found)
 
 
@@ -372,7 +372,7 @@ def test_a_map_of_ground_with_a_gap(gl, write_raster, make_scene, azimuth, gap):
     scene = holed(write_raster, make_scene, azimuth, gap)
     at = look(scene, above(scene, 200.0, 50))
     check(at, least_dark=0.05)
-    assert not at.buffer.there.all()
+    assert not at.buffer.valid.all()
 
 
 @pytest.mark.parametrize("gap", [INNER, TO_THE_RIM], ids=["inner", "to the rim"])
@@ -390,11 +390,11 @@ def from_below(buffer: GeometryBuffer) -> np.ndarray:
     Not those that it sees nearly edge-on: along a ridge's outline the rasteriser's rounding shows one of the far side now and then.
     """
     assert isinstance(buffer.view, PerspectiveView) and buffer.corners_frame_m is not None
-    a, b, c = np.moveaxis(buffer.corners_frame_m.reshape(*buffer.there.shape, 3, 3), 2, 0)
+    a, b, c = np.moveaxis(buffer.corners_frame_m.reshape(*buffer.valid.shape, 3, 3), 2, 0)
     away = buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0]
     normal = np.cross(b - a, c - a)
     sine = (normal * away).sum(axis=-1) / (np.linalg.norm(normal, axis=-1) * np.linalg.norm(away, axis=-1))
-    return buffer.there & (sine > 0.1)
+    return buffer.valid & (sine > 0.1)
 
 
 # -- kept
@@ -434,7 +434,7 @@ def test_volumes_are_kept_while_sun_and_casters_rest(gl, tmp_path, mask):
     clear_caches("light")
     assert kept(look(scene), mask)[0] == 0
     np.testing.assert_array_equal(moved.seen(mask), later)
-    assert (later != look(scene).seen(mask))[moved.buffer.there].any()
+    assert (later != look(scene).seen(mask))[moved.buffer.valid].any()
 
 
 # -- samples
@@ -448,10 +448,10 @@ def test_samples_of_a_pixel_are_counted_where_they_lie(gl, tmp_path, light, mask
     scene = level_of(tmp_path, [posts], 200, 35, **BEHIND, **LIGHTS[light])
     buffer = multisampled(scene, scene.view("eye")).buffer
     own = scene.view("eye").rows
-    assert len(buffer.there) > own
+    assert len(buffer.valid) > own
     at = Look(scene, buffer, NO_CASTERS, scene.light_names[0])
     found, real = at.seen(mask), at.rays()
-    samples = buffer.there & ~attached(buffer, scene, at.light)
+    samples = buffer.valid & ~attached(buffer, scene, at.light)
     samples[:own] = False
     dark = (real[samples] < 0.5).sum()
     assert dark > 200 and dark < 0.95 * samples.sum()

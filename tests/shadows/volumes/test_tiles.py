@@ -165,7 +165,7 @@ def test_counts_are_those_of_all_faces(gl, tmp_path, monkeypatch, seed):
     views = eye(start, target, fov=rng.uniform(30, 100))
     scene = level_of(tmp_path, [things(rng)], rng.uniform(0, 360), rng.choice([2.0, 35.0, 80.0]), **views, **keys)
     for at in (look(scene), look(scene, above(scene, 12.0, 70))):
-        lit = at.buffer.there & ~attached(at.buffer, scene, at.light)
+        lit = at.buffer.valid & ~attached(at.buffer, scene, at.light)
         sparse = lit & (rng.random(lit.shape) < 0.01)
         for wanted, marked, counting in ((lit, False, "auto"), (lit, False, "z_fail"), (sparse, True, "auto")):
             with monkeypatch.context() as patched:
@@ -180,7 +180,7 @@ def test_faces_before_the_near_plane_count_for_nothing(gl, tmp_path, monkeypatch
     lamp = {"kind": "omni", "position": [-6, -12, 18]}
     body = joined(box((8, 6, 5)), box((0.3, 0.3, 0.01), 6.1, (10, 20)))
     at = look(level_of(tmp_path, [body], 0, 0, **eye((10, 20, 6.05), (0, 2, 0)), sun="none", lights={"lamp": lamp}))
-    lit = at.buffer.there & ~attached(at.buffer, at.scene, at.light)
+    lit = at.buffer.valid & ~attached(at.buffer, at.scene, at.light)
     found = counted(at, lit, False)
     monkeypatch.setattr(volume_drawing, "cull_faces", everything)
     np.testing.assert_array_equal(found, counted(at, lit, False))

@@ -88,7 +88,7 @@ def test_no_ray_to_any_part_of_the_sun_meets_what_is_left_out(blocks, seed, reli
         lit = lit_under(scene, buffer, everything, sun_deg)
         assert np.array_equal(lit, lit_under(scene, buffer, casters, sun_deg))
         if not casters.casting and own_ground_is_clear(scene, buffer):
-            assert lit[buffer.there].all()
+            assert lit[buffer.valid].all()
 
 
 def test_much_is_left_out_and_what_casts_is_not(blocks):

@@ -39,13 +39,13 @@ def test_what_a_camera_sees_lies_in_its_pixels(gl, flat, cut, fine):
     view = flat.view("eye") if cut is None else flat.view("eye").part(*cut)
     view = view.finer(fine)
     buffer = geometry_buffer(flat, view)
-    there, origin = np.nonzero(buffer.there), np.array([3.0, -7.0, 1.0])
-    points = buffer.position_frame_m[there]
+    shown_pixels, origin = np.nonzero(buffer.valid), np.array([3.0, -7.0, 1.0])
+    points = buffer.position_frame_m[shown_pixels]
     row, col, depth = pixels(camera_clip(view, buffer.frame, origin, 0.5), points - origin, view)
     # points are held inside their triangles, whose corners the rasteriser rounds to 1/256 of a pixel
     assert len(row) > 1000
-    np.testing.assert_allclose(row, there[0], rtol=0, atol=1 / 256)
-    np.testing.assert_allclose(col, there[1], rtol=0, atol=1 / 256)
+    np.testing.assert_allclose(row, shown_pixels[0], rtol=0, atol=1 / 256)
+    np.testing.assert_allclose(col, shown_pixels[1], rtol=0, atol=1 / 256)
     eye, camera_from_frame = view.in_frame(buffer.frame)
     np.testing.assert_allclose(depth, 0.5 / ((points - eye) @ camera_from_frame[2]), rtol=1e-12)
 
@@ -69,7 +69,7 @@ def test_a_flat_map_is_a_camera(gl, flat):
     origin = np.array([5.0, 2.0, 1.0])
     clip = map_clip(flat.world, buffer.frame, view, origin, (-2.0, 8.0))
     row, col, depth = pixels(clip, buffer.position_frame_m.reshape(-1, 3) - origin, view)
-    expected = np.indices(buffer.there.shape).reshape(2, -1)
+    expected = np.indices(buffer.valid.shape).reshape(2, -1)
     np.testing.assert_allclose(np.stack([row, col]), expected, rtol=0, atol=1e-7)
     np.testing.assert_allclose(depth, (buffer.position_frame_m[..., 2].ravel() + 2.0) / 10.0, atol=1e-12)
     assert bend_px(flat, view.grid, 1.0, 1.0) == 0.0
@@ -85,7 +85,7 @@ def test_parts_of_a_globe_s_map_lie_off_it_by_what_is_stated(gl, globe, zoom):
     stated, worst = bend_px(globe, block.grid, block.row_step, block.col_step), 0.0
     for part, top, left in affine_parts(globe.world, block):
         inside = np.s_[top : top + part.rows, left : left + part.cols]
-        at = np.nonzero(buffer.there[inside])
+        at = np.nonzero(buffer.valid[inside])
         if not len(at[0]):
             continue
         points = buffer.position_frame_m[inside][at]

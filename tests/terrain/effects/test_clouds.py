@@ -58,7 +58,7 @@ def sunlight_of(scene: Scene, view=None) -> np.ndarray:
     """The share of the sun that the clouds alone let through."""
     view = view or scene.view()
     buffer = geometry_buffer(scene, view)
-    light = np.ones(buffer.there.shape, np.float32)
+    light = np.ones(buffer.valid.shape, np.float32)
     apply_clouds(light, ShadingBlock(scene, view, buffer, {}))
     return light
 
@@ -93,9 +93,9 @@ def test_little_more_cover_is_little_more_cloud(x: float, y: float, cover: float
 @settings(max_examples=300)
 def test_bounds_of_the_noise(x: float, y: float, turn: float, seed: int) -> None:
     step = 1e-5
-    here, there = noise_at(x, y, seed), noise_at(x + step * np.cos(turn), y + step * np.sin(turn), seed)
+    here, ahead = noise_at(x, y, seed), noise_at(x + step * np.cos(turn), y + step * np.sin(turn), seed)
     assert abs(here) <= MAX_NOISE
-    assert abs(there - here) <= MAX_NOISE_SLOPE * step * (1.0 + 1e-3)
+    assert abs(ahead - here) <= MAX_NOISE_SLOPE * step * (1.0 + 1e-3)
 
 
 @given(st.floats(-2e4, 2e4), st.floats(-2e4, 2e4), st.floats(100.0, 3000.0), st.floats(1e-3, 0.2))
@@ -152,7 +152,7 @@ def test_clouds_drift_by_the_clock(cloudy) -> None:
 def test_pixels_wider_than_the_clouds_show_their_mean(cloudy) -> None:
     scene = cloudy(0.4, size=600)
     view = scene.view(size=(12, 12))
-    light = sunlight_of(scene, view)[geometry_buffer(scene, view).there]
+    light = sunlight_of(scene, view)[geometry_buffer(scene, view).valid]
     assert light.size > 50
     assert light == pytest.approx(1.0 - 0.4 * cloud_layer_of(scene).max_opacity, abs=1e-6)
 

@@ -131,7 +131,7 @@ def test_far_ground_goes_over_into_the_skys_foot(floor):
 def test_sky_and_what_is_not_there_stay_as_they_are(floor):
     scene = floor(weather={"visibility": 100})
     view, buffer = points(scene, np.array([50.0, 50.0]), np.tile(UP, (2, 1)), np.ones((2, 3)))
-    buffer.there[0, 1] = False
+    buffer.valid[0, 1] = False
     color = np.full((1, 2, 3), 0.125, np.float32)
     apply_haze(color, ShadingBlock(scene, view, buffer, {}))
     assert (color[0, 1] == 0.125).all() and (color[0, 0] != 0.125).all()
@@ -206,7 +206,7 @@ def difference_of_sunlight(scene: Scene, distance_m: float) -> np.ndarray:
     view, buffer = points(scene, np.full(count, distance_m), facing, albedo)
     pictures = []
     for share in (0.0, 1.0):
-        color = shade(buffer, scene, np.full(buffer.there.shape, share, np.float32))
+        color = shade(buffer, scene, np.full(buffer.valid.shape, share, np.float32))
         apply_haze(color, ShadingBlock(scene, view, buffer, {}))
         pictures.append(srgb_encoded(color).astype(int))
     return np.abs(pictures[0] - pictures[1]).max(axis=-1).ravel()

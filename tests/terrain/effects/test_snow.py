@@ -50,18 +50,18 @@ def snowed(scene: Scene) -> tuple[np.ndarray, np.ndarray, GeometryBuffer]:
 @pytest.mark.parametrize("slope_deg", [0.0, 15.0, FULL_SNOW_DEG - 1.6 * ROUGH_DEG])
 def test_white_where_snow_holds(slope, slope_deg: float) -> None:
     _, albedo, buffer = snowed(slope(slope_deg))
-    assert np.allclose(albedo[buffer.there], SNOW, atol=0.01)
+    assert np.allclose(albedo[buffer.valid], SNOW, atol=0.01)
 
 
 @pytest.mark.parametrize("slope_deg", [NO_SNOW_DEG + 2 * ROUGH_DEG, 75.0])
 def test_rock_and_no_tint_where_it_slid_off(slope, slope_deg: float) -> None:
     _, albedo, buffer = snowed(slope(slope_deg))
-    assert np.allclose(albedo[buffer.there], ROCK, atol=0.01)
+    assert np.allclose(albedo[buffer.valid], ROCK, atol=0.01)
 
 
 def test_the_edge_of_the_snow_is_no_contour_line(slope) -> None:
     _, albedo, buffer = snowed(slope((FULL_SNOW_DEG + NO_SNOW_DEG) / 2))
-    share = (albedo[buffer.there][:, 0] - ROCK[0]) / (SNOW[0] - ROCK[0])
+    share = (albedo[buffer.valid][:, 0] - ROCK[0]) / (SNOW[0] - ROCK[0])
     assert 0.3 < share.mean() < 0.7
     assert share.std() > 0.1
     assert share.min() >= -1e-6 and share.max() <= 1 + 1e-6
@@ -82,10 +82,10 @@ def test_noise_goes_where_pixels_are_wide() -> None:
 def test_none_on_water(slope) -> None:
     scene = slope(10.0, water={"level": 40.0})
     before, albedo, buffer = snowed(scene)
-    wet = buffer.there & (buffer.height_m <= 40.0)
+    wet = buffer.valid & (buffer.height_m <= 40.0)
     assert 0.2 < wet.mean() < 0.8
     assert np.array_equal(albedo[wet], before[wet])
-    assert np.allclose(albedo[buffer.there & (buffer.height_m > 40.1)], SNOW, atol=0.01)
+    assert np.allclose(albedo[buffer.valid & (buffer.height_m > 40.1)], SNOW, atol=0.01)
 
 
 def test_roofs_but_no_walls_and_crowns_from_above() -> None:

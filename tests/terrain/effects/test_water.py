@@ -82,10 +82,10 @@ def test_no_height_lies_below_the_water_and_ground_above_it_is_as_it_was(write_r
     dry, wet = Elevation(path), Elevation(path, water_m=LEVEL_M)
     row, col = np.meshgrid(np.linspace(-0.5, 59.5, 130), np.linspace(-0.5, 79.5, 170), indexing="ij")
     for level in (0, 1, 2):
-        ground_m, there = dry.heights_at(level, row, col)
+        ground_m, valid = dry.heights_at(level, row, col)
         height_m, still_there = wet.heights_at(level, row, col)
         np.testing.assert_array_equal(height_m, np.maximum(ground_m, np.float32(LEVEL_M)))
-        np.testing.assert_array_equal(still_there, there)
+        np.testing.assert_array_equal(still_there, valid)
     assert wet.ground_m(395.0, 305.0) == LEVEL_M == wet.filled_ground_m(395.0, 305.0)
     assert wet.overview.heights_m.min() == LEVEL_M and wet.overview.lowest_m == bowl_m.min()
 
@@ -104,8 +104,8 @@ def test_holes_stay_holes(write_raster):
     heights_m = np.full((40, 40), 50.0, np.float32)
     heights_m[10:20, 10:20] = -9999
     elevation = Elevation(str(write_raster(heights_m, UTM, 0, 400, 10, nodata=-9999)), water_m=LEVEL_M)
-    height_m, there = elevation.heights_at(0, np.array([[15.0, 30.0]]), np.array([[15.0, 30.0]]))
-    np.testing.assert_array_equal(there, [[False, True]])
+    height_m, valid = elevation.heights_at(0, np.array([[15.0, 30.0]]), np.array([[15.0, 30.0]]))
+    np.testing.assert_array_equal(valid, [[False, True]])
     assert height_m[0, 1] == LEVEL_M and np.isnan(elevation.ground_m(155.0, 245.0))
 
 
@@ -127,7 +127,7 @@ def test_the_shore_is_round_and_painted_to_it(make_lake):
     wet = water_in(buffer, scene)
     albedo = albedo_of(buffer, scene)
     np.testing.assert_allclose(albedo[wet], np.broadcast_to(scene.style.water, albedo[wet].shape), atol=1e-6)
-    assert not np.isclose(albedo[~wet & buffer.there], scene.style.water, atol=1e-3).all(axis=-1).any()
+    assert not np.isclose(albedo[~wet & buffer.valid], scene.style.water, atol=1e-3).all(axis=-1).any()
     area_m2 = wet.sum() * 100.0 / 100.0
     assert area_m2 == pytest.approx(np.pi * (LEVEL_M - 60.0) / 0.06 * 100.0, rel=0.02)
 
@@ -173,8 +173,8 @@ def test_straight_down_water_keeps_all_but_a_fiftieth_of_its_colour():
     color = np.full((1, 1, 3), 0.4, np.float32)
     foot, zenith = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.6, 0.7])
     sky = Sky(foot, foot, zenith, np.ones(3), 1.0, np.full(3, 4.0), np.array([0.5, 0.5]))
-    there, centre = np.ones((1, 1), bool), np.array([0.0, 0.0, -1e12])
-    water._add_reflections(color, there, np.zeros((1, 1, 3)), None, centre, sky, water.MEAN_SQUARE_SLOPE, np.zeros(3), None, None)
+    valid, centre = np.ones((1, 1), bool), np.array([0.0, 0.0, -1e12])
+    water._add_reflections(color, valid, np.zeros((1, 1, 3)), None, centre, sky, water.MEAN_SQUARE_SLOPE, np.zeros(3), None, None)
     share = 1.0 - np.exp(-4.0)
     np.testing.assert_allclose(color[0, 0], 0.98 * 0.4 + 0.02 * ((1.0 - share) * foot + share * zenith), atol=1e-6)
 

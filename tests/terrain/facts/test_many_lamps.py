@@ -126,9 +126,9 @@ def test_the_dimmest_are_left_out_as_long_as_their_sum_does_not_show():
     )
     assert negligible_lamps({"a": 0.4, "b": 0.2, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b"}
     assert negligible_lamps({"a": 0.9, "b": 0.9, "c": 0.9}, 1.0) == {"a"}
-    here, there = np.array([0.9, 0.0]), np.array([0.0, 0.8])
-    assert negligible_lamps({"a": here, "b": there}, 1.0) == {"a", "b"}, "no point has the light of both"
-    assert negligible_lamps({"a": here, "b": there, "c": here}, 1.0) == {"b", "a"}
+    here, other = np.array([0.9, 0.0]), np.array([0.0, 0.8])
+    assert negligible_lamps({"a": here, "b": other}, 1.0) == {"a", "b"}, "no point has the light of both"
+    assert negligible_lamps({"a": here, "b": other, "c": here}, 1.0) == {"b", "a"}
     assert negligible_lamps({"a": 0.0, "b": 2.0, "c": 0.0}, 0.0) == {"a", "c"}, "what does not shine at all is never missed"
 
 

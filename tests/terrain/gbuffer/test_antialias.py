@@ -98,7 +98,7 @@ def test_samples_lie_inside_the_pixels_that_they_are_of(gl, tower):
     view = tower.view("eye")
     picture = multisampled(tower, view)
     buffer = picture.buffer
-    row, col = np.nonzero(buffer.there)
+    row, col = np.nonzero(buffer.valid)
     below = row >= view.rows
     row, col = row[below], col[below]
     eye, camera = view.in_frame(buffer.frame)
@@ -132,14 +132,14 @@ def test_a_floor_alone_needs_no_samples(gl, floor, make_scene):
     down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
     scene = make_scene(floor, views=down)
     picture = multisampled(scene, scene.view("eye"))
-    assert not len(picture.pixels[0]) and picture.own is picture.buffer and picture.buffer.there.all()
+    assert not len(picture.pixels[0]) and picture.own is picture.buffer and picture.buffer.valid.all()
     slanting = {"eye": {"kind": "perspective", "eye": [0, -150, 60], "target": [0, 50, 25], "fov": 50, "size": [40, 400]}}
     scene = make_scene(floor, views=slanting)
     picture = multisampled(scene, scene.view("eye"))
-    there = picture.own.there
-    marked = np.zeros(there.shape, bool)
+    valid = picture.own.valid
+    marked = np.zeros(valid.shape, bool)
     marked[picture.pixels] = True
-    rim = there & binary_dilation(~there) | ~there & binary_dilation(there)
+    rim = valid & binary_dilation(~valid) | ~valid & binary_dilation(valid)
     assert rim.any() and (marked == rim).all()
 
 
@@ -148,10 +148,10 @@ def test_means_are_of_linear_light(gl, tower):
     view = tower.view("eye")
     picture = multisampled(tower, view)
     frame = render(tower, view)
-    lit = np.where(picture.buffer.there, 1.0, 0.0).astype(np.float32)
+    lit = np.where(picture.buffer.valid, 1.0, 0.0).astype(np.float32)
     colours = shade(picture.buffer, tower, lit)
     row, col = picture.pixels
-    whole = picture.buffer.there.copy()
+    whole = picture.buffer.valid.copy()
     below = whole[view.rows :].ravel()[: len(row) * picture.each].reshape(-1, picture.each)
     solid = below.all(axis=1) & whole[row, col]  # no sky in them
     expected = srgb_encoded(picture.averaged(colours))[row[solid], col[solid]].astype(int)
@@ -194,8 +194,8 @@ def test_a_look_that_meets_the_sky_alone_goes_through_every_pixel(gl, tower):
     wall = geometry_buffer(tower, view).kind == MESHES
     row = int(np.flatnonzero(wall.any(axis=1))[0]) + 12
     part = view.part(row, int(np.flatnonzero(wall[row])[0]) - 4, 7, 7)
-    there = geometry_buffer(tower, part).there
-    assert not there[0, 0] and there.any()
+    valid = geometry_buffer(tower, part).valid
+    assert not valid[0, 0] and valid.any()
     assert coarse_view_of(tower, part).edge_share == pytest.approx(len(multisampled(tower, part).pixels[0]) / 49)
 
 

@@ -191,9 +191,9 @@ def test_strips_have_the_triangles_they_have(gl, write_raster, make_scene, shape
     scene = make_scene(raster, views=views)
     mesh = ground_mesh(scene, view_of(scene))
     assert len(mesh.triangles) == 2 * (shape[0] - 1) * (shape[1] - 1)
-    assert geometry_buffer(scene, view_of(scene)).there.any() == (min(shape) > 1)
+    assert geometry_buffer(scene, view_of(scene)).valid.any() == (min(shape) > 1)
     frame = render(scene, view_of(scene))
-    assert frame.there.any() == (min(shape) > 1)
+    assert frame.valid.any() == (min(shape) > 1)
 
 
 @pytest.mark.parametrize("behind", [False, True])
@@ -206,7 +206,7 @@ def test_ground_behind_the_eye_casts(gl, write_raster, make_scene, behind):
     views = {"eye": {"kind": "perspective", "eye": [0, -150, 20], "target": [0, 0, 0], "fov": 50, "size": [60, 90]}}
     scene = make_scene(raster, 180.0, 14.0, views=views)
     frame = render(scene, view_of(scene), algorithm="shadow_map", map_size=2048, filter=1)
-    y, dark = frame.position_earth_m[..., 1][frame.there], frame.visibility[frame.there] < 0.5
+    y, dark = frame.position_earth_m[..., 1][frame.valid], frame.visibility[frame.valid] < 0.5
     if not behind:
         assert not dark.any()
         return

@@ -39,7 +39,7 @@ def test_ground_beside_the_view_is_not_missed(gl, landscape, monkeypatch, name):
     id_buffer_in_view = id_buffer._triangles_in_frustum
     monkeypatch.setattr(id_buffer, "_triangles_in_frustum", every)
     every_one = RasterisedView(landscape, view, frame).seen
-    assert all(0 < ahead < there for ahead, there in counts), counts
+    assert all(0 < ahead < total for ahead, total in counts), counts
     np.testing.assert_array_equal(some.number, every_one.number)
     np.testing.assert_array_equal(some.depth, every_one.depth)
 

@@ -212,7 +212,7 @@ def test_points_on_the_rim_are_lifted_inwards_where_light_comes_along_it(ground_
     buffer = geometry(scene, between_nodes(view))
     last = 2 * SIDE - 2
     shared = facets_of(buffer)[1].sum(axis=-1) > 1
-    assert buffer.there.all()
+    assert buffer.valid.all()
 
     def lift_under(azimuth: float) -> np.ndarray:
         return facing_normals(buffer, light_position(direction_enu(azimuth, 20.0), 0.0)).lift_frame
@@ -270,7 +270,7 @@ def test_a_camera_s_points_have_one_triangle_each(gl, ground_of):
     scene, _ = ground_of(tent(), views=views)
     buffer = geometry_buffer(scene, scene.view("low"))
     facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
-    assert buffer.there.any()
+    assert buffer.valid.any()
     assert facing.lift_frame is None  # the buffer's own normals lead off
     assert not facing.blocked.any()
     to_sun = direction_enu(200.0, 20.0)
@@ -289,8 +289,8 @@ def test_up_is_up_all_round_the_globe(write_raster, make_scene):
     facing = facing_normals(buffer, source)
     up = buffer.position_frame_m - buffer.frame.points_from_earth(np.zeros(3))
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
-    assert ((facing.lift_frame * up).sum(axis=-1)[buffer.there] > 0.9).all()
+    assert ((facing.lift_frame * up).sum(axis=-1)[buffer.valid] > 0.9).all()
     to_sun = np.array(source[:3])
-    day = buffer.there & (facing.normal_frame @ to_sun > np.sin(np.radians(8.0)))
+    day = buffer.valid & (facing.normal_frame @ to_sun > np.sin(np.radians(8.0)))
     rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
     assert day.mean() > 0.3 and lit_mask(buffer, scene, "sun", rays)[day].all() and not facing.blocked[day].any()

@@ -103,13 +103,13 @@ def test_points_lie_on_the_triangle_they_name(tile):
         view = scene.view(size=(300, 310))
     frame = scene.world.frame_near(view.grid.crs, *view.centre)
     buffer = map_geometry(scene.surface(view.grid), view, frame)
-    there = buffer.there
-    assert there.sum() > 5000
-    row, col, half = buffer.triangle[there].T
+    valid = buffer.valid
+    assert valid.sum() > 5000
+    row, col, half = buffer.triangle[valid].T
     sheet = buffer.surface.sheet
     corners = sheet_triangles(sheet.falls)[2 * (row * sheet.falls.shape[1] + col) + half]
     o, a, b = sheet.position_frame_m.reshape(-1, 3)[corners].transpose(1, 0, 2)
-    point = buffer.position_frame_m[there]
+    point = buffer.position_frame_m[valid]
     face = np.cross(a - o, b - o)
     face /= np.linalg.norm(face, axis=1, keepdims=True)
     assert np.abs(((point - o) * face).sum(axis=1)).max() < 1e-6
@@ -117,9 +117,9 @@ def test_points_lie_on_the_triangle_they_name(tile):
         inwards = np.cross(face, end - start)
         assert (((point - start) * inwards).sum(axis=1) / np.linalg.norm(inwards, axis=1)).min() > -1e-3
     assert np.abs(sheet.normals_frame[row, col, half] - face).max() < 1e-6
-    normal = buffer.normal_frame[there].astype(float)
+    normal = buffer.normal_frame[valid].astype(float)
     assert np.abs(np.linalg.norm(normal, axis=1) - 1).max() < 1e-6
-    assert (normal[:, 2] > 0).all() and (buffer.shading_normal_frame[there][:, 2] > 0).all()
+    assert (normal[:, 2] > 0).all() and (buffer.shading_normal_frame[valid][:, 2] > 0).all()
 
 
 @pytest.mark.parametrize(("tile", "share"), [(True, 1.0), (False, 0.99)])
@@ -189,9 +189,9 @@ def test_sub_samples_that_share_nodes_are_the_same_to_the_bit():
         nodes = shared_nodes(scene, views, frame)
         for each in views:
             alone, shared = geometry_buffer(scene, each, frame), geometry_buffer(scene, each, frame, nodes=nodes)
-            assert alone.there.any()
+            assert alone.valid.any()
             for name in (
-                "there",
+                "valid",
                 "position_frame_m",
                 "height_m",
                 "normal_frame",

@@ -133,9 +133,9 @@ def test_a_building_beyond_the_ground_s_data_is_seen_where_there_is_no_ground(gl
     scene = make_scene(floor, meshes=[{"source": "box.obj", "at": [-20, 0]}])
     buffer, x, y = buffers(scene, (-60, -30, 30, 30), (180, 120))
     roof = (np.abs(x + 20) < 14.9) & (np.abs(y) < 14.9)
-    assert buffer.there[roof].all() and (buffer.kind[roof] == MESHES).all()
+    assert buffer.valid[roof].all() and (buffer.kind[roof] == MESHES).all()
     assert np.isfinite(buffer.position_frame_m[roof]).all()
-    assert not buffer.there[(x > 0) & ~roof].any() and (buffer.kind[(x > 0) & ~roof] == NO_SURFACE).all()
+    assert not buffer.valid[(x > 0) & ~roof].any() and (buffer.kind[(x > 0) & ~roof] == NO_SURFACE).all()
 
 
 @pytest.mark.parametrize("species", ["conifer", "broadleaf"])

@@ -83,19 +83,19 @@ def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
     beyond = np.abs(meeting[..., :2] + buffer.frame.origin_earth_m[:2]).max(axis=-1) - FLOOR_M
     pixel_m = t * np.linalg.norm(ray, axis=-1) * view.pixel
     slanted_m = 2.0 * pixel_m / np.maximum(np.abs(ray[..., 2]) / np.linalg.norm(ray, axis=-1), 1e-9)
-    assert (buffer.there == (beyond < 0.0))[~(np.abs(beyond) < slanted_m)].all()
-    there = buffer.there & (beyond < 0.0)
-    assert there.any()
-    found = buffer.position_frame_m[there]
-    apart = np.linalg.norm(found - meeting[there], axis=-1) / np.linalg.norm(meeting[there] - eye, axis=-1)
+    assert (buffer.valid == (beyond < 0.0))[~(np.abs(beyond) < slanted_m)].all()
+    valid = buffer.valid & (beyond < 0.0)
+    assert valid.any()
+    found = buffer.position_frame_m[valid]
+    apart = np.linalg.norm(found - meeting[valid], axis=-1) / np.linalg.norm(meeting[valid] - eye, axis=-1)
     # A pixel beside a triangle's edge may be given the neighbour, whose edge is then the nearest that it can show.
     exact = apart < 1e-6
-    off = off_px(view, found, eye, ray[there])
+    off = off_px(view, found, eye, ray[valid])
     assert exact.mean() > 0.97 and off.max() < RASTER_PX and np.abs(found[:, 2]).max() < 1e-9
-    assert (buffer.kind[buffer.there] == RELIEF).all() and (buffer.height_m[buffer.there] == 0.0).all()
+    assert (buffer.kind[buffer.valid] == RELIEF).all() and (buffer.height_m[buffer.valid] == 0.0).all()
     for normal in (buffer.normal_frame, buffer.shading_normal_frame):
-        np.testing.assert_allclose(normal[buffer.there], np.tile([0, 0, 1], (buffer.there.sum(), 1)), atol=1e-6)
-    assert np.isnan(buffer.position_frame_m[~buffer.there]).all() and np.isnan(buffer.height_m[~buffer.there]).all()
+        np.testing.assert_allclose(normal[buffer.valid], np.tile([0, 0, 1], (buffer.valid.sum(), 1)), atol=1e-6)
+    assert np.isnan(buffer.position_frame_m[~buffer.valid]).all() and np.isnan(buffer.height_m[~buffer.valid]).all()
     return buffer
 
 
@@ -127,10 +127,10 @@ def test_whole_frames_of_hostile_views_are_finite(gl, floor, make_scene, name):
     meshes = [{"source": "box.obj", "at": [3.0, 2.0]}]
     scene = make_scene(floor, 200.0, 40.0, views=eye_view(**VIEWS[name]), meshes=meshes)
     frame = render(scene, scene.view("eye"))
-    there = frame.there
-    assert there.any() and np.isfinite(frame.height_m[there]).all() and np.isfinite(frame.position_earth_m[there]).all()
-    assert np.isfinite(frame.visibility[there]).all() and np.isnan(frame.visibility[~there]).all()
-    ground = there & (frame.height_m < 1e-3)
+    valid = frame.valid
+    assert valid.any() and np.isfinite(frame.height_m[valid]).all() and np.isfinite(frame.position_earth_m[valid]).all()
+    assert np.isfinite(frame.visibility[valid]).all() and np.isnan(frame.visibility[~valid]).all()
+    ground = valid & (frame.height_m < 1e-3)
     away = np.abs(frame.position_earth_m[..., :2] - [3.0, 2.0]).max(axis=-1)
     assert (frame.visibility[ground & (away > 8.0)] == 1.0).all()
 
@@ -140,10 +140,10 @@ def test_the_globe_from_the_edge_of_space(gl, hills, make_scene):
     scene = make_scene(hills, views=eye_view((*at(1600, 1600), 500_000), (*at(1600, 1600), 0.0), fov=0.6))
     view = scene.view("eye")
     buffer = geometry_buffer(scene, view)
-    assert 0.1 < buffer.there.mean() < 0.9
+    assert 0.1 < buffer.valid.mean() < 0.9
     frame = render(scene, view)
-    x, y, height = scene.world.map_position(scene.elevation.crs, frame.position_earth_m[frame.there])
-    np.testing.assert_allclose(height, frame.height_m[frame.there], atol=0.3)
+    x, y, height = scene.world.map_position(scene.elevation.crs, frame.position_earth_m[frame.valid])
+    np.testing.assert_allclose(height, frame.height_m[frame.valid], atol=0.3)
     middle = scene.world.map_position(scene.elevation.crs, frame.position_earth_m[23:25, 31:33].mean(axis=(0, 1)))
     np.testing.assert_allclose(middle[:2], [X0 + 1600, Y0 - 1400], atol=1.0)
 
@@ -154,12 +154,12 @@ def test_points_on_the_globe_lie_on_the_triangle_that_is_seen(gl, hills, make_sc
     view = scene.view("eye")
     visible = RasterisedView(scene, view, view.frame(scene.world))
     buffer = resolve_buffer(scene, view, visible)
-    there = buffer.there
-    assert there.mean() > 0.4 and (visible.seen.number[there] > 0).all() and (visible.seen.number[~there] == 0).all()
+    valid = buffer.valid
+    assert valid.mean() > 0.4 and (visible.seen.number[valid] > 0).all() and (visible.seen.number[~valid] == 0).all()
     ground = visible.ground
-    corner_numbers = ground.triangles[visible.seen.number[there].astype(int) - 1]
+    corner_numbers = ground.triangles[visible.seen.number[valid].astype(int) - 1]
     corners = ground.position_frame_m[corner_numbers]
-    point = buffer.position_frame_m[there]
+    point = buffer.position_frame_m[valid]
     e, g = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(e, g)
     area = np.linalg.norm(normal, axis=1)
@@ -168,14 +168,14 @@ def test_points_on_the_globe_lie_on_the_triangle_that_is_seen(gl, hills, make_sc
     u = (np.cross(point - corners[:, 0], g) * normal).sum(axis=1) / area**2
     v = (np.cross(e, point - corners[:, 0]) * normal).sum(axis=1) / area**2
     assert min(u.min(), v.min(), (1 - u - v).min()) > -1e-9
-    np.testing.assert_allclose(buffer.normal_frame[there], normal / area[:, None], atol=1e-6)
-    np.testing.assert_array_equal(buffer.corners_frame_m[there], corners.reshape(-1, 9).astype(np.float32))
+    np.testing.assert_allclose(buffer.normal_frame[valid], normal / area[:, None], atol=1e-6)
+    np.testing.assert_array_equal(buffer.corners_frame_m[valid], corners.reshape(-1, 9).astype(np.float32))
     heights = ground.height_m[corner_numbers].astype(float)
     height = (1 - u - v) * heights[:, 0] + u * heights[:, 1] + v * heights[:, 2]
-    np.testing.assert_allclose(buffer.height_m[there], height, atol=1e-3)
+    np.testing.assert_allclose(buffer.height_m[valid], height, atol=1e-3)
     # On the ray but for the rasteriser's grid of 1/256 pixel, and for silhouettes, where a triangle ends within the pixel.
     eye, ray = rays_in_frame(view, buffer)
-    off = off_px(view, point, eye, ray[there])
+    off = off_px(view, point, eye, ray[valid])
     assert np.quantile(off, 0.9) < 1e-6 and off.max() < RASTER_PX
     # No nearer triangle hides it.
     rays = RayScene(meshes=[(ground.position_frame_m, ground.triangles)])
@@ -244,19 +244,19 @@ def test_layers_of_depth_and_position(gl, hills, make_scene):
     scene = make_scene(hills, views=eye_view((*at(300, 300), 150), (*at(1500, 1500), 0), size=(80, 60)))
     view = scene.view("eye")
     frame = render(scene, view)
-    there = frame.there
+    valid = frame.valid
     position = product_of_frame(scene, frame, "position")
-    assert np.isnan(position[~there]).all() and there.mean() > 0.3
-    ground = scene.elevation.ground_m(position[there, 0], position[there, 1])
-    np.testing.assert_allclose(position[there, 2], frame.height_m[there], atol=0.3)  # a chord of 50 m, and float32
-    assert np.abs(position[there, 2] - ground).max() < 1.5  # triangles against the bilinear surface
-    assert np.abs(position[there, 2] - ground).mean() < 0.2
+    assert np.isnan(position[~valid]).all() and valid.mean() > 0.3
+    ground = scene.elevation.ground_m(position[valid, 0], position[valid, 1])
+    np.testing.assert_allclose(position[valid, 2], frame.height_m[valid], atol=0.3)  # a chord of 50 m, and float32
+    assert np.abs(position[valid, 2] - ground).max() < 1.5  # triangles against the bilinear surface
+    assert np.abs(position[valid, 2] - ground).mean() < 0.2
     depth = product_of_frame(scene, frame, "depth")
     along = (frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera
-    np.testing.assert_allclose(depth[there], along[there, 2], rtol=1e-6)
+    np.testing.assert_allclose(depth[valid], along[valid, 2], rtol=1e-6)
     x = (view.col0 + np.arange(view.cols)) / view.focal_px
-    np.testing.assert_allclose((along[..., 0] / depth)[there], np.broadcast_to(x, depth.shape)[there], atol=0.1 * view.pixel)
-    assert np.isnan(depth[~there]).all() and depth[there].min() > 0.0
+    np.testing.assert_allclose((along[..., 0] / depth)[valid], np.broadcast_to(x, depth.shape)[valid], atol=0.1 * view.pixel)
+    assert np.isnan(depth[~valid]).all() and depth[valid].min() > 0.0
 
 
 def test_a_view_off_the_data_is_refused_in_one_line(floor, make_scene):
@@ -277,7 +277,7 @@ def test_a_view_of_the_sky_alone(gl, floor, make_scene, target):
     """No surface anywhere, a sky everywhere, and the plan's passes all the same."""
     scene = make_scene(floor, views=eye_view((0, 0, 10), target, fov=20.0))
     frame = render(scene, scene.view("eye"))
-    assert not frame.there.any() and np.isnan(frame.visibility).all() and np.isnan(frame.position_earth_m).all()
+    assert not frame.valid.any() and np.isnan(frame.visibility).all() and np.isnan(frame.position_earth_m).all()
     assert frame.opaque.all() and [record.name for record in frame.passes] == frame.plan.passes
     between = srgb_encoded(np.array([SKY_ZENITH, SKY_HORIZON], np.float32)).astype(int)
     assert (frame.color >= between.min(axis=0) - 1).all() and (frame.color <= between.max(axis=0) + 1).all()
@@ -286,7 +286,7 @@ def test_a_view_of_the_sky_alone(gl, floor, make_scene, target):
 def test_the_sky_is_palest_at_the_horizon(gl, floor, make_scene):
     scene = make_scene(floor, views=eye_view((0, -180, 3), (0, 100, 20), fov=60.0))
     frame = render(scene, scene.view("eye"))
-    column = frame.color[:, 32].astype(int)[~frame.there[:, 32]]
+    column = frame.color[:, 32].astype(int)[~frame.valid[:, 32]]
     assert len(column) > 20 and (np.diff(column[:-1, 0]) >= 0).all() and column[-2, 0] > column[0, 0] + 40
 
 
@@ -302,12 +302,12 @@ def test_a_part_of_a_view_is_the_same_picture(gl, hills, make_scene, tmp_path, d
     whole, part = render_frame(scene, view, plan), render_frame(scene, view.part(down, right, 96, 128), plan)
     ours = slice(max(down, 0), 96 + min(down, 0)), slice(max(right, 0), 128 + min(right, 0))
     theirs = tuple(slice(s.start - o, s.stop - o) for s, o in zip(ours, (down, right), strict=True))
-    there, shade = whole.there[ours], whole.visibility[ours]
-    np.testing.assert_array_equal(part.there[theirs], there)
-    apart = np.linalg.norm((part.position_earth_m[theirs] - whole.position_earth_m[ours])[there], axis=-1)
+    valid, shade = whole.valid[ours], whole.visibility[ours]
+    np.testing.assert_array_equal(part.valid[theirs], valid)
+    apart = np.linalg.norm((part.position_earth_m[theirs] - whole.position_earth_m[ours])[valid], axis=-1)
     same = apart < 1e-8  # beside a triangle's edge float32 may choose the neighbour
     assert same.mean() > 0.999
     assert 0.03 < (shade < 0.5).mean() < 0.5 and ((shade > 0.0) & (shade < 1.0)).mean() > 0.005
-    found, expected = part.visibility[theirs][there][same], shade[there][same]
+    found, expected = part.visibility[theirs][valid][same], shade[valid][same]
     np.testing.assert_array_equal(found < 0.5, expected < 0.5)
     np.testing.assert_allclose(found, expected, atol=1e-4)

@@ -255,7 +255,7 @@ def shadow_share(scene: Scene, view: PerspectiveView) -> float:
     """Truth's share of shadow on what a view shows of a stand and its ground."""
     buffer = geometry_buffer(scene, view)
     rays = truth.ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
-    return float(1.0 - truth.lit_mask(buffer, scene, "sun", rays)[buffer.there].mean())
+    return float(1.0 - truth.lit_mask(buffer, scene, "sun", rays)[buffer.valid].mean())
 
 
 @pytest.mark.parametrize(("altitude", "density"), [(60.0, 400.0), (25.0, 500.0)])

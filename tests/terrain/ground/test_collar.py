@@ -51,12 +51,12 @@ def test_a_thin_one_on_a_side_of_a_large_raster_is_noticed(tmp_path, side):
 
 def test_scaled_cells_are_compared_in_metres(tmp_path):
     """Counts of half a centimetre: a cliff of 600 counts is 3 m, and of 60,000 counts 300 m."""
-    for metres, there in ((1.0, False), (100.0, True)):
+    for metres, has_collar in ((1.0, False), (100.0, True)):
         counts = np.rint(rotate(hills(200, 200, 3.0 * metres, 6.0 * metres) / 0.005, 15.0, order=0, cval=0.0)).astype(np.int32)
         path = write_geotiff(tmp_path / "counts.tif", counts, "EPSG:32633", 500e3, 5200e3, 30.0)
         with rasterio.open(path, "r+") as dataset:
             dataset.scales = (0.005,)
-        assert (detect_collar(Elevation(str(path))) is not None) is there
+        assert (detect_collar(Elevation(str(path))) is not None) is has_collar
 
 
 def test_depths_have_collars_as_heights_have(tmp_path):

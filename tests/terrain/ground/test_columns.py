@@ -67,10 +67,10 @@ def test_a_pixel_of_another_crs_shows_the_middle_of_the_column_that_it_lies_in(t
     scene = scene_of(tmp_path, heights, UTM, 10.0, 500000.0, 5000000.0)
     buffer = geometry_buffer(scene, scene.view(crs=crs, size=(150, 150)))
     x, y, height = scene.world.map_position(
-        scene.elevation.crs, buffer.frame.points_to_earth(buffer.position_frame_m[buffer.there])
+        scene.elevation.crs, buffer.frame.points_to_earth(buffer.position_frame_m[buffer.valid])
     )
     row, col = scene.elevation.cell_of(x, y)
-    assert buffer.there.mean() > 0.5
+    assert buffer.valid.mean() > 0.5
     np.testing.assert_allclose([row, col], np.rint([row, col]), atol=1e-4)
     np.testing.assert_allclose(height, heights.astype(np.float32)[np.rint(row).astype(int), np.rint(col).astype(int)], atol=1e-3)
     np.testing.assert_array_equal(buffer.normal_frame, buffer.shading_normal_frame)

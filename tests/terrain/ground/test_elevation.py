@@ -24,9 +24,9 @@ def heights_at(elevation: Elevation, row, col, level: int = 0):
 def test_bilinear_between_cell_centres_and_clamped_at_the_border(write_raster):
     values = np.array([[0, 10], [20, 50]], np.float32)
     elevation = Elevation(str(write_raster(values, UTM, 0, 20, 10)))
-    height, there = heights_at(elevation, [[0, 0.5, 1, -0.5, -0.6]], [[0, 0.5, 0.25, 1.5, 0]])
+    height, valid = heights_at(elevation, [[0, 0.5, 1, -0.5, -0.6]], [[0, 0.5, 0.25, 1.5, 0]])
     np.testing.assert_allclose(height[0, :4], [0, 20, 27.5, 10])
-    assert np.isnan(height[0, 4]) and there.tolist() == [[True, True, True, True, False]]
+    assert np.isnan(height[0, 4]) and valid.tolist() == [[True, True, True, True, False]]
 
 
 def test_windows_agree_with_the_whole(write_raster):
@@ -58,9 +58,9 @@ def test_holes_are_no_surface_and_neither_walls_nor_pits(write_raster, sentinel)
     tagged = sentinel == -9999.0
     elevation = Elevation(str(write_raster(values, UTM, 0, 600, 10, nodata=sentinel if tagged else None)))
     col, row = np.meshgrid(np.arange(60.0), np.arange(60.0))
-    height, there = elevation.heights_at(0, row, col)
+    height, valid = elevation.heights_at(0, row, col)
     np.testing.assert_allclose(height, 100.0)
-    assert (~there).sum() == 400 and not there[20:40, 20:40].any()
+    assert (~valid).sum() == 400 and not valid[20:40, 20:40].any()
     coarse, _ = elevation.heights_at(2, row, col)
     np.testing.assert_allclose(coarse[np.isfinite(coarse)], 100.0)
 
@@ -69,9 +69,9 @@ def test_far_inside_a_big_hole_there_is_nothing(write_raster):
     values = np.full((30, 400), 7.0, np.float32)
     values[:, 50:350] = np.nan
     elevation = Elevation(str(write_raster(values, UTM, 0, 300, 10)))
-    height, there = heights_at(elevation, 15, np.arange(400))
+    height, valid = heights_at(elevation, 15, np.arange(400))
     assert np.isnan(height[0, 50 + FILL_CELLS + 2 : 350 - FILL_CELLS - 2]).all()
-    assert np.isfinite(height[0, :52]).all() and not there[0, 50:350].any()
+    assert np.isfinite(height[0, :52]).all() and not valid[0, 50:350].any()
 
 
 def test_a_hole_in_a_slope_is_filled_between_its_rims(write_raster):
@@ -111,9 +111,9 @@ def test_the_first_of_several_bands_is_taken(write_raster):
 def test_a_global_raster_has_no_border_at_its_seam(write_raster):
     values = np.broadcast_to(np.cos(np.radians(np.arange(-179.5, 180))) * 100, (180, 360)).astype(np.float32)
     elevation = Elevation(str(write_raster(values, "EPSG:4326", -180, 90, 1.0)))
-    height, there = heights_at(elevation, 90, np.array([-1.0, -0.5, 359.5, 360.0]))
+    height, valid = heights_at(elevation, 90, np.array([-1.0, -0.5, 359.5, 360.0]))
     np.testing.assert_allclose(height[0], [values[0, 359], values[0, 359], values[0, 0], values[0, 0]], atol=0.02)
-    assert there.all()
+    assert valid.all()
 
 
 @pytest.mark.parametrize("hole", [8, 40, 200])
@@ -126,11 +126,11 @@ def test_a_hole_across_the_seam_of_a_global_raster_is_filled_as_anywhere_else(wr
     for level in (0, 1, 2):
         for first, last in ((-20, 20), (236, 276), (0, 30), (230, 255.5), (-128, 128), (0, 255.5)):
             row, col = np.meshgrid(np.arange(0, 127, 0.5), np.arange(first, last, 0.5), indexing="ij")
-            found, there = across.heights_at(level, row, col)
+            found, valid = across.heights_at(level, row, col)
             expected, known = within.heights_at(level, row, (col + 128) % 256)
             np.testing.assert_array_equal(found, expected)
-            np.testing.assert_array_equal(there, known)
-            assert np.isfinite(found[~there]).any(), "some of the hole is filled"
+            np.testing.assert_array_equal(valid, known)
+            assert np.isfinite(found[~valid]).any(), "some of the hole is filled"
 
 
 def test_a_global_raster_that_lacks_its_last_column_has_a_hole_there(write_raster):
@@ -138,10 +138,10 @@ def test_a_global_raster_that_lacks_its_last_column_has_a_hole_there(write_raste
     elevation = Elevation(str(write_raster(values, "EPSG:4326", -180, 10, 1.0)))
     for first, last in ((0, 359), (350, 359), (355, 365), (-5, 5)):
         col = np.arange(first, last)
-        height, there = heights_at(elevation, 5, col)
+        height, valid = heights_at(elevation, 5, col)
         known = col % 360 < 359
         np.testing.assert_array_equal(height[0, known], 10.0 * (col % 360)[known])
-        np.testing.assert_array_equal(there[0], known)
+        np.testing.assert_array_equal(valid[0], known)
         assert (height[0, ~known] == 3580 / 2).all(), "filled between its rims"
 
 
@@ -152,12 +152,12 @@ def test_zoomed_out_a_global_raster_meets_itself_though_cells_are_left_over(writ
     values = np.broadcast_to((1000 * np.cos(longitude) + 500 * np.sin(2 * longitude)).astype(np.float32), (180, 360))
     elevation = Elevation(str(write_raster(values, "EPSG:4326", 0, 90, 1.0)))
     col = np.arange(0, 360.0)
-    height, there = heights_at(elevation, 90, col, level)
+    height, valid = heights_at(elevation, 90, col, level)
     for turn in (-2, -1, 1):
         other, known = heights_at(elevation, 90, col + 360 * turn, level)
         np.testing.assert_allclose(other, height, atol=1e-3)
         assert known.all()
-    assert there.all()
+    assert valid.all()
     error_m = np.abs(height[0] - values[0])
     at_seam = (col < 2**level) | (col > 360 - 2 * 2**level)
     assert error_m[at_seam].max() <= max(1.5 * error_m[~at_seam].max(initial=0.0), 1e-3)
@@ -216,8 +216,8 @@ def test_any_shape_can_be_read_at_any_level(tmp_path_factory, rows, cols, level)
         transform=rasterio.Affine(10, 0, 0, 0, -10, 0),
     ) as dataset:  # fmt: skip
         dataset.write(values, 1)
-    height, there = heights_at(Elevation(str(path)), (min(rows, 2**level) - 1) / 2, (min(cols, 2**level) - 1) / 2, level)
-    assert there.all() and values.min() <= height[0, 0] <= values.max()
+    height, valid = heights_at(Elevation(str(path)), (min(rows, 2**level) - 1) / 2, (min(cols, 2**level) - 1) / 2, level)
+    assert valid.all() and values.min() <= height[0, 0] <= values.max()
 
 
 def test_what_is_no_usable_raster_is_refused_by_name(tmp_path, write_raster):
@@ -324,7 +324,7 @@ def test_a_sentinel_that_nothing_marks_is_averaged_into_no_height(write_raster, 
     heights[5:9, 5:9] = -9999.0 if nodata else 100.0
     elevation = Elevation(str(write_raster(heights, "EPSG:32633", 500_000, 5_300_000, 10.0, nodata=nodata)))
     for level in (1, 2, 3):
-        found, there = elevation.heights_at(level, np.array([[333.0, 330.0]]), np.array([[777.0, 770.0]]))
-        assert there[0, 1] and np.allclose(found[there], 100.0)
+        found, valid = elevation.heights_at(level, np.array([[333.0, 330.0]]), np.array([[777.0, 770.0]]))
+        assert valid[0, 1] and np.allclose(found[valid], 100.0)
     lowest = np.nanmin(elevation.overview.heights_m)
     assert lowest == np.nanmax(elevation.overview.high_m) == 100.0

@@ -88,15 +88,15 @@ def test_on_the_globe_it_keeps_its_height_between_far_keys(make_scene, write_ras
     """The chord of keys 60 km apart lies 70 m under the sea; and north is true north."""
     dem = write_raster(np.full((90, 90), 100.0, np.float32), UTM, 455000, 5045000, 1000)
     scene = make_scene(dem)
-    there, back = (transformer(CRS(UTM), LONGITUDE_LATITUDE).transform(x, 5001000) for x in (470000, 530000))
-    path = path_in(scene, (0.0, (*there, 30.0)), (10.0, (*back, 30.0)))
+    out, back = (transformer(CRS(UTM), LONGITUDE_LATITUDE).transform(x, 5001000) for x in (470000, 530000))
+    path = path_in(scene, (0.0, (*out, 30.0)), (10.0, (*back, 30.0)))
     point, up, above_m = path.at_second(seconds)
     lon, lat, height = scene.world.map_position(LONGITUDE_LATITUDE, point)
     assert height == pytest.approx(130.0, abs=1e-3) and above_m == pytest.approx(30.0)
     np.testing.assert_allclose(up, geocentric(lon, lat)[1], atol=1e-9)
     assert path.azimuth_deg(seconds) == pytest.approx(90.0, abs=0.5)
     if seconds == 5.0:
-        assert lon == pytest.approx((there[0] + back[0]) / 2, abs=1e-6)
+        assert lon == pytest.approx((out[0] + back[0]) / 2, abs=1e-6)
 
 
 def test_over_the_antimeridian_it_takes_the_short_way(make_scene, write_raster):

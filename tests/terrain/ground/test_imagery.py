@@ -130,9 +130,9 @@ def test_where_there_is_no_imagery_the_tint_shows(gl, hill, write_raster, make_s
     np.testing.assert_array_equal(with_it.color[~covered | hole], without.color[~covered | hole])
     assert (with_it.color != without.color).any(axis=-1)[covered & ~hole].mean() > 0.95
     with_it, without = render(scene, near_view(scene)), render(bare, near_view(bare))
-    position = with_it.position_earth_m[with_it.there]
+    position = with_it.position_earth_m[with_it.valid]
     east = scene.world.map_position(scene.elevation.crs, position)[0] > X0 + 8 * CELL + 15
-    np.testing.assert_array_equal(with_it.color[with_it.there][east], without.color[with_it.there][east])
+    np.testing.assert_array_equal(with_it.color[with_it.valid][east], without.color[with_it.valid][east])
 
 
 @pytest.mark.parametrize("pixel_m", [50.0, 100.0])

@@ -58,8 +58,8 @@ def write(path: Path, heights: np.ndarray, alpha=None, mask=None, nodata=None, o
     for number in range(2, 1 + (alpha or 1)):
         opaque = 1 if heights.dtype.kind == "f" else np.iinfo(heights.dtype).max
         bands.append(np.where(by_alpha, 0, opaque).astype(heights.dtype) if number == alpha else np.full_like(heights, 3))
-    for declared, there in ((by_alpha, alpha), (cells["beside"], mask)):
-        if there:
+    for declared, expected_valid in ((by_alpha, alpha), (cells["beside"], mask)):
+        if expected_valid:
             heights[declared], empty = FILLER % (np.iinfo("uint8").max if heights.dtype == np.uint8 else 10**9), empty | declared
     with (
         rasterio.Env(GDAL_TIFF_INTERNAL_MASK=mask == "inside"),
@@ -78,19 +78,19 @@ def write(path: Path, heights: np.ndarray, alpha=None, mask=None, nodata=None, o
     return path, empty
 
 
-def means(heights: np.ndarray, valid: np.ndarray, factor: int) -> np.ndarray:
+def means(heights: np.ndarray, cell_valid: np.ndarray, factor: int) -> np.ndarray:
     """Of the valid of factor x factor cells; NaN where there is none."""
     count, shape = SIDE // factor, (SIDE // factor, factor, SIDE // factor, factor)
-    known = valid.reshape(shape).sum(axis=(1, 3))
-    total = np.where(valid, heights, 0).astype(float).reshape(shape).sum(axis=(1, 3))
+    known = cell_valid.reshape(shape).sum(axis=(1, 3))
+    total = np.where(cell_valid, heights, 0).astype(float).reshape(shape).sum(axis=(1, 3))
     return np.divide(total, known, out=np.full((count, count), np.nan), where=known > 0)
 
 
 def seen_of(elevation: Elevation, level: int) -> np.ndarray:
     """Heights of a level's cells, NaN where there is no surface."""
     middle = np.arange(SIDE // 2**level) * 2.0**level + (2**level - 1) / 2
-    height, there = elevation.heights_at(level, *np.meshgrid(middle, middle, indexing="ij"))
-    return np.where(there, height, np.nan)
+    height, valid = elevation.heights_at(level, *np.meshgrid(middle, middle, indexing="ij"))
+    return np.where(valid, height, np.nan)
 
 
 @pytest.mark.parametrize("is_large", [False, True], ids=["small", "large"])

@@ -16,9 +16,9 @@ def ground(path, heights: np.ndarray, stated: float | None, **options) -> np.nda
     write_geotiff(path / "dem.tif", heights, "EPSG:32633", 500e3, 5200e3, 10.0, **options)
     elevation = Elevation(str(path / "dem.tif"), nodata=stated)
     row, col = np.mgrid[: heights.shape[0], : heights.shape[1]].astype(float)
-    height, there = elevation.heights_at(0, row, col)
+    height, valid = elevation.heights_at(0, row, col)
     elevation.close()
-    return np.where(there, height, np.nan)
+    return np.where(valid, height, np.nan)
 
 
 @pytest.mark.parametrize(

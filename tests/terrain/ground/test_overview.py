@@ -42,8 +42,8 @@ def test_a_peak_among_means_is_about_as_high_as_it_is(big):
 
 def test_the_highest_ground_is_nowhere_lower_than_the_means_and_none_where_there_is_none(big):
     found = big.overview
-    there = np.isfinite(found.heights_m)
-    assert (found.high_m[there] >= found.heights_m[there] - 1e-3).all()
+    valid = np.isfinite(found.heights_m)
+    assert (found.high_m[valid] >= found.heights_m[valid] - 1e-3).all()
     assert np.isnan(found.high_m[26:29, 26:29]).all() and np.isnan(found.heights_m[25:30, 25:30]).all()
     assert (found.high_m[2:8, 22:30] == 500.0).all()
 

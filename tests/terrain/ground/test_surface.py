@@ -44,11 +44,11 @@ def test_a_block_and_the_nodes_round_it_take_its_own_tiles():
 @pytest.mark.parametrize("window", [(-40, -90, 70, 200), (500, -530, 30, 60), (-520, 505, 20, 20), (900, 900, 10, 10)])
 def test_windows_of_tiles_are_those_read_at_once(scene, window):
     surface = scene.surface(grid_over(scene, 20.0))
-    height, there = surface.heights(*window)
+    height, valid = surface.heights(*window)
     for _ in range(2):  # read, then kept
         kept = surface.height_window(*window)
         assert np.array_equal(kept.height_m, height, equal_nan=True)
-        assert np.array_equal(kept.there, there & np.isfinite(height))
+        assert np.array_equal(kept.valid, valid & np.isfinite(height))
 
 
 def test_kept_heights_are_not_read_again(scene, monkeypatch):
@@ -68,7 +68,7 @@ def test_coordinates_along_an_axis_are_those_of_the_nodes_points(scene, row0, co
     rows, cols = 150, 190
     window = surface.height_window(row0, col0, rows, cols)
     assert isinstance(window, RefinedWindow)
-    plain = HeightWindow(row0, col0, window.height_m, window.there)
+    plain = HeightWindow(row0, col0, window.height_m, window.valid)
     axis, origin = np.array([0.48, 0.6, 0.64]), scene.world.anchor_earth_m + 5.0
     filled = []
     for each in (window, plain):
@@ -94,6 +94,6 @@ def test_refined_heights_are_middles_along_the_higher_diagonals():
         [1.0, 1.0, 1.0, 1.0, 1.0],
     ]
     assert np.array_equal(window.height_m, np.array(expected, np.float32), equal_nan=True)
-    assert np.array_equal(window.there, np.isfinite(window.height_m))
+    assert np.array_equal(window.valid, np.isfinite(window.height_m))
     part = RefinedWindow(1, 3, (3, 2), HeightWindow(0, 1, coarse[:, 1:], np.isfinite(coarse[:, 1:])))
     assert np.array_equal(part.height_m, np.array(expected, np.float32)[1:4, 3:5], equal_nan=True)

@@ -39,11 +39,11 @@ def test_all_cells_of_its_pixels_are_among_them(scene, lon: float, lat: float, s
     cells = visible_cells(scene.elevation, view)
     buffer = geometry_buffer(scene, view)
     if cells is None:
-        assert not buffer.there.any()
+        assert not buffer.valid.any()
         return
     # Heights say which cell they are of: 100 for a row, 1 for a column; coarser pixels are means.
     (first, last), (left, right) = cells
-    height = buffer.height_m[buffer.there]
+    height = buffer.height_m[buffer.valid]
     assert ((height >= 100.0 * first + left - 101.0) & (height <= 100.0 * last + right + 101.0)).all()
     rows, cols = block_slices(cells, 8, (7, 10))
     assert 0 <= rows.start < rows.stop <= 7 and 0 <= cols.start < cols.stop <= 10

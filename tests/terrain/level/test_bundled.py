@@ -31,11 +31,11 @@ SUMMITS = {"jacksboro": CROSS_MOUNTAIN, "jacksboro_utm": CROSS_MOUNTAIN}
 SRTM_CELL_DEG = 3.0 / 3600.0
 """Heights that are warped to finer cells know a summit's place no better."""
 
-MOST_CELLS = 1.0
+MAX_CELLS = 1.0
 """How far the highest cell may lie from the summit, in either direction: half a cell to the cell's centre, a sixth for a place that
 is published in whole seconds, a fifth for the 20 m within which 90 % of SRTM's heights lie (its specification)."""
 
-MOST_M = 16.0
+MAX_M = 16.0
 """Within which 90 % of SRTM's heights are right (its specification)."""
 
 
@@ -53,8 +53,8 @@ def test_the_highest_cell_is_the_published_summit(name):
         row, col = np.unravel_index(np.nanargmax(heights_m), heights_m.shape)
         (longitude,), (latitude,) = rasterio.warp.transform(dataset.crs, LONGITUDE_LATITUDE, *([v] for v in dataset.xy(row, col)))
     off_deg = longitude - summit.longitude, latitude - summit.latitude
-    assert np.abs(off_deg).max() <= MOST_CELLS * SRTM_CELL_DEG, f"cells off east and north: {np.array(off_deg) / SRTM_CELL_DEG}"
-    assert abs(heights_m[row, col] - summit.height_m) <= MOST_M
+    assert np.abs(off_deg).max() <= MAX_CELLS * SRTM_CELL_DEG, f"cells off east and north: {np.array(off_deg) / SRTM_CELL_DEG}"
+    assert abs(heights_m[row, col] - summit.height_m) <= MAX_M
 
 
 def test_srtm_heights_lie_where_srtm_measured():

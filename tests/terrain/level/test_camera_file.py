@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from skugga.terrain.errors import LevelError
-from skugga.terrain.level.camera_file import MOST_FILE_CHARACTERS, MOST_KEYS, load_camera_path
+from skugga.terrain.level.camera_file import MAX_FILE_CHARACTERS, MAX_KEYS, load_camera_path
 from skugga.terrain.level.durations import parse_duration
 
 KEY = "{at: 0s, eye: [0, 0, 5], target: [9, 9, 0]}"
@@ -82,10 +82,10 @@ def test_no_file_too_long_a_file_and_what_is_no_text(tmp_path):
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(LevelError, match="not UTF-8 text"):
         load_camera_path(tmp_path / "binary.yaml")
-    with pytest.raises(LevelError, match=f"more than {MOST_FILE_CHARACTERS} characters"):
-        read(tmp_path, "#" * (MOST_FILE_CHARACTERS + 1))
-    with pytest.raises(LevelError, match=f"at most {MOST_KEYS} items"):
-        read(tmp_path, "keys:\n" + "".join(f"- {{at: {n}s, eye: [0, 0, 5], target: [9, 9, 0]}}\n" for n in range(MOST_KEYS + 1)))
+    with pytest.raises(LevelError, match=f"more than {MAX_FILE_CHARACTERS} characters"):
+        read(tmp_path, "#" * (MAX_FILE_CHARACTERS + 1))
+    with pytest.raises(LevelError, match=f"at most {MAX_KEYS} items"):
+        read(tmp_path, "keys:\n" + "".join(f"- {{at: {n}s, eye: [0, 0, 5], target: [9, 9, 0]}}\n" for n in range(MAX_KEYS + 1)))
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("0s", 0.0), ("0.04s", 0.04), (" 10m ", 600.0), ("1.5h", 5400.0), ("2d", 172800.0)])

@@ -12,7 +12,7 @@ from ruamel.yaml.error import YAMLError
 
 from skugga.terrain.errors import InputError, LevelError, combined_error, printable
 from skugga.terrain.level.level import load_level
-from skugga.terrain.level.level_text import MAX_DEPTH, MOST_CHARACTERS, MOST_VALUES, parse_level_text
+from skugga.terrain.level.level_text import MAX_CHARACTERS, MAX_DEPTH, MAX_VALUES, parse_level_text
 
 HEAD = "version: 1\nterrain: {flat: {size: [10, 10], cells: [2, 2]}}\n"
 
@@ -40,7 +40,7 @@ def level(tmp_path):
         ("a: &a [*a]\n", "an alias of a list or mapping that contains it"),
         ("a: " + "[" * 100_000, "nested lists and mappings"),
         ("a:\n  " + "- " * 100_000, "nested lists and mappings"),
-        ("a: [" + "1," * (MOST_VALUES + 1) + "]", f"more than {MOST_VALUES} values"),
+        ("a: [" + "1," * (MAX_VALUES + 1) + "]", f"more than {MAX_VALUES} values"),
         ('title: "\\e[2J"', "control character '\\x1b'"),
         ('title: "\\ud800"', "control character '\\ud800'"),
         ('"\\u009b2J": 1', "control character '\\x9b'"),
@@ -68,7 +68,7 @@ def test_aliases_count_as_what_they_stand_for(widths):
         lines.append(f"a{number}: &a{number} [{','.join([f'*a{number - 1}'] * width)}]")
         count = 1 + width * count
         expected += 1 + count
-    if expected <= MOST_VALUES:
+    if expected <= MAX_VALUES:
         assert len(parse_level_text("\n".join(lines))) == len(widths) + 1
     else:
         with pytest.raises(YAMLError, match="aliases"):
@@ -77,7 +77,7 @@ def test_aliases_count_as_what_they_stand_for(widths):
 
 def test_a_text_without_end_is_not_read_to_its_end(level):
     with pytest.raises(LevelError, match="more than 16777216 characters"):
-        load_level(level(HEAD + "title: " + "x" * MOST_CHARACTERS))
+        load_level(level(HEAD + "title: " + "x" * MAX_CHARACTERS))
 
 
 @pytest.mark.parametrize("kind", ["pipe.yaml", "folder.yaml", "device.yaml"])

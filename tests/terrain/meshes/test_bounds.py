@@ -62,7 +62,7 @@ def test_the_middle_of_a_large_fan_is_shaded_face_by_face(monkeypatch):
     own = np.cross(b - a, c - a)
     own /= np.linalg.norm(own, axis=1, keepdims=True)
     np.testing.assert_allclose(tip.corner_normals()[:, 0], [[0.0, 0.0, 1.0]] * 8, atol=1e-6)
-    monkeypatch.setattr(body_module, "MOST_SMOOTHED", 7)
+    monkeypatch.setattr(body_module, "MAX_SMOOTHED", 7)
     crowded = Body(tip.vertices_m, tip.triangles, tip.albedo).corner_normals()
     np.testing.assert_allclose(crowded[:, 0], own, atol=1e-6)
     np.testing.assert_allclose(crowded[:, 1:], tip.corner_normals()[:, 1:], atol=1e-6)  # fewer meet on the rim
@@ -106,7 +106,7 @@ def test_an_outline_that_crosses_itself_a_little_is_mended(geojson):
 def test_an_outline_that_is_a_scribble_is_refused(geojson):
     """Mending it would take minutes: of the edges of 1,500 random corners half a million pairs cross."""
     scribble = shapely.Polygon(np.random.default_rng(1).uniform(0, 500, (1500, 2)))
-    with pytest.raises(SourceError, match=f"cross themselves more than {vectors.MOST_CROSSINGS} times"):
+    with pytest.raises(SourceError, match=f"cross themselves more than {vectors.MAX_CROSSINGS} times"):
         read_features(geojson(scribble), CRS.from_user_input(UTM))
 
 
@@ -117,7 +117,7 @@ def test_outlines_round_the_earth_again_and_again_are_refused(geojson):
         read_features(geojson(zigzag, crs="OGC:1.3:CRS84"), CRS.from_user_input(UTM))
 
 
-@pytest.mark.parametrize("name", ["MOST_CORNERS", "MOST_CORNERS_OF_ALL"])
+@pytest.mark.parametrize("name", ["MAX_CORNERS", "MAX_CORNERS_OF_ALL"])
 def test_footprints_of_too_many_corners_are_refused(geojson, make_scene, write_raster, monkeypatch, name):
     scene = make_scene(write_raster(np.zeros((9, 9), np.float32), UTM, 500e3, 5200e3, 10.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
@@ -188,7 +188,7 @@ def test_a_texture_of_too_many_pixels_is_refused_before_it_is_decoded(tmp_path, 
     square.visual = trimesh.visual.TextureVisuals(uv, image=Image.new("RGB", (40, 30), (255, 0, 0)))
     square.export(tmp_path / f"a{suffix}")
     assert len(read_model(str(tmp_path / f"a{suffix}")).triangles) == 2
-    monkeypatch.setattr(models, "MOST_TEXTURE_PIXELS", 40 * 30 - 1)
+    monkeypatch.setattr(models, "MAX_TEXTURE_PIXELS", 40 * 30 - 1)
     with pytest.raises(SourceError, match="a texture of 40 x 30 pixels, more than the limit of 1199"):
         read_model(str(tmp_path / f"a{suffix}"))
 
@@ -214,7 +214,7 @@ def test_cells_as_large_as_countries_are_refused(write_raster):
 
 def test_a_vast_raster_needs_overviews(write_raster, monkeypatch):
     path = write_raster(np.ones((1100, 1100), np.float32), UTM, 500e3, 5200e3, 10.0, tiled=True)
-    monkeypatch.setattr(overview_module, "MOST_CELLS_READ", 1100 * 1100 // 4)
+    monkeypatch.setattr(overview_module, "MAX_CELLS_READ", 1100 * 1100 // 4)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 1000)
     monkeypatch.setattr(overview_module, "EXACT_HIGH_CELLS", 1000)
     with pytest.raises(SourceError, match="1100 x 1100 cells and no overview.*gdaladdo"):

@@ -14,7 +14,7 @@ from skugga.terrain.errors import LevelError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.meshes.assemble import place_meshes
 from skugga.terrain.meshes.buildings import FOOTING_M
-from skugga.terrain.meshes.roofs import MOST_RISE, SLOPE, roof_over
+from skugga.terrain.meshes.roofs import MAX_RISE, SLOPE, roof_over
 from skugga.terrain.scene import build_scene
 
 UTM = "EPSG:32633"
@@ -53,7 +53,7 @@ def rectangle(width=WIDTH_M, length=LENGTH_M, turn=0.0):
 
 
 def rise(width=WIDTH_M, height=HEIGHT_M) -> float:
-    return min(SLOPE * width / 2.0, MOST_RISE * height)
+    return min(SLOPE * width / 2.0, MAX_RISE * height)
 
 
 @pytest.mark.parametrize("turn", [0.0, 33.0, 90.0, 200.0])
@@ -91,7 +91,7 @@ def test_slopes_are_as_steep_as_tiles_want_it_and_gables_are_walls(house):
 
 def test_low_sheds_keep_walls(house):
     _, height = house("pitched", rectangle(10.0, 14.0), height=2.5)
-    assert np.sort(np.unique(height.round(3)))[1] == pytest.approx(2.5 * (1.0 - MOST_RISE), abs=2e-3)
+    assert np.sort(np.unique(height.round(3)))[1] == pytest.approx(2.5 * (1.0 - MAX_RISE), abs=2e-3)
 
 
 def corners(outline) -> np.ndarray:

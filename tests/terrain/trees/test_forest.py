@@ -18,7 +18,7 @@ from skugga.terrain.trees import forest as module
 from skugga.terrain.trees.crown_sizes import CROWN_SPREAD
 from skugga.terrain.trees.foliage import TREE_VARIANTS
 from skugga.terrain.trees.forest import Site, plant_trees
-from skugga.terrain.trees.scatter import LEAST_SPACING, join_places, pair_keys, point_keys, scatter_trees, uniform_numbers
+from skugga.terrain.trees.scatter import MIN_SPACING, join_places, pair_keys, point_keys, scatter_trees, uniform_numbers
 from skugga.terrain.trees.trees import Trees
 from tests.rasters import ENGINEERING
 
@@ -79,7 +79,7 @@ def test_no_two_trees_are_nearer_than_half_a_cell_and_none_in_rows():
     places = scatter_trees(shapely.box(-500, -500, 500, 500), 900.0, 1)
     pitch = np.sqrt(1e4 / 900.0)
     points = np.column_stack([places.x, places.y])
-    assert cKDTree(points).query(points, k=2)[0][:, 1].min() >= LEAST_SPACING * pitch
+    assert cKDTree(points).query(points, k=2)[0][:, 1].min() >= MIN_SPACING * pitch
     for wave in ((1, 0), (0, 1), (1, 1), (0.5, 0), (0, 0.5), (0.5, 0.5)):  # an orchard has 1 here
         assert abs(np.exp(2j * np.pi * (points / pitch) @ np.array(wave)).mean()) < 0.06
 

@@ -14,7 +14,7 @@ from fastapi import Request
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
-from skugga.api.http.answers import GIVEN_SUN_S
+from skugga.api.http.answers import REQUESTED_SUN_FRESH_S
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
 from skugga.terrain.level.level import parse_sun
@@ -23,7 +23,7 @@ from skugga.terrain.level.parts import ALLOWED_TIMES, SunSpec, parse_time
 CURRENT = "current"
 """The value of ``time`` that means now."""
 
-OWN_TIME = "default"
+DEFAULT_TIME = "default"
 """The value of ``time`` that means the level's own sun."""
 
 TIME_HEADER = "X-Skugga-Time"
@@ -75,7 +75,7 @@ They reject numbers, which pydantic reads as seconds since 1970, and dates out o
 
 
 @dataclass(frozen=True)
-class AskedTime:
+class RequestTime:
     """The time of a request's sun.
 
     Attributes
@@ -107,10 +107,10 @@ def rounded_time(moment: datetime, grain_s: int) -> datetime:
         return moment
 
 
-def asked_sun(request: Request, time: str | None, azimuth: float | None, altitude: float | None, grain_s: int) -> SunSpec | None:
+def request_sun(request: Request, time: str | None, azimuth: float | None, altitude: float | None, grain_s: int) -> SunSpec | None:
     """Return the sun of a request with its time rounded; ``None`` means the level's own sun.
 
-    The time is also stored as ``request.state.asked_time``. Raises ``InputError``.
+    The time is also stored as ``request.state.request_time``. Raises ``InputError``.
     """
     if time is not None and time.strip() == CURRENT:
         if azimuth is not None or altitude is not None:
@@ -119,45 +119,45 @@ def asked_sun(request: Request, time: str | None, azimuth: float | None, altitud
         grain = timedelta(seconds=grain_s or 1)
         moment = _EPOCH + (now - _EPOCH) // grain * grain  # rounded down: now is never in the future
         left_s = int((moment + grain - now).total_seconds())
-        request.state.asked_time = AskedTime(moment, max(min(left_s, CURRENT_S), 1), current=True)
+        request.state.request_time = RequestTime(moment, max(min(left_s, CURRENT_S), 1), current=True)
         return SunSpec(time=moment)
-    sun = parse_sun(None if time == OWN_TIME else time, azimuth, altitude)
+    sun = parse_sun(None if time == DEFAULT_TIME else time, azimuth, altitude)
     if sun is None or sun.time is None:
         return sun
     moment = rounded_time(sun.time, grain_s)
     check_times(as_utc([moment]))
-    request.state.asked_time = AskedTime(moment, GIVEN_SUN_S)
+    request.state.request_time = RequestTime(moment, REQUESTED_SUN_FRESH_S)
     return SunSpec(time=moment)
 
 
-def asked_time(request: Request) -> AskedTime | None:
-    """Return the time that ``asked_sun`` has stored for a request; ``None`` if the request has no time."""
-    return getattr(request.state, "asked_time", None)
+def request_time(request: Request) -> RequestTime | None:
+    """Return the time that ``request_sun`` has stored for a request; ``None`` if the request has no time."""
+    return getattr(request.state, "request_time", None)
 
 
-def is_of_now(request: Request) -> bool:
+def is_current(request: Request) -> bool:
     """Return whether a request asks for ``current``: the same address then means another picture soon."""
-    asked = asked_time(request)
+    asked = request_time(request)
     return asked is not None and asked.current
 
 
-def quarter_hour() -> tuple[datetime, int]:
+def current_quarter_hour() -> tuple[datetime, int]:
     """Return the begin of the present quarter of an hour in UTC, and the seconds left of it.
 
     The date of no time zone changes within a quarter of an hour.
     """
     now, quarter = datetime.now(UTC), timedelta(minutes=15)
-    begin = _EPOCH + (now - _EPOCH) // quarter * quarter
-    return begin, max(int((begin + quarter - now).total_seconds()), 1)
+    start = _EPOCH + (now - _EPOCH) // quarter * quarter
+    return start, max(int((start + quarter - now).total_seconds()), 1)
 
 
 def fresh_for(request: Request, otherwise_s: int) -> int:
     """Return the freshness lifetime in seconds: for ``current`` the time to its next value, else ``otherwise_s``."""
-    asked = asked_time(request)
+    asked = request_time(request)
     return asked.fresh_s if asked is not None and asked.current else otherwise_s
 
 
 def time_headers(request: Request) -> dict[str, str]:
     """Return the header with the rounded time of a request; empty if it has no time."""
-    asked = asked_time(request)
+    asked = request_time(request)
     return {} if asked is None else {TIME_HEADER: asked.time.isoformat()}

@@ -20,10 +20,10 @@ LEVEL_ERRORS = 404, 422, 500
 WORK_ERRORS = 404, 422, 429, 500, 503, 504
 """Error statuses of routes that use a render process."""
 
-ANYWHERE = 400, 422, 431, 500
+COMMON_ERRORS = 400, 422, 431, 500
 """Error statuses of every route."""
 
-UNFORESEEN = {500}
+UNEXPECTED_ERRORS = {500}
 
 PROBLEM = {"$ref": f"#/components/schemas/{Problem.__name__}"}
 
@@ -57,7 +57,7 @@ def exception_docs(*statuses: int) -> Answers:
     """
     found: Answers = {}
     for status in statuses:
-        unforeseen = {MEDIA_TYPE: _problems(status)} if status in UNFORESEEN else {}
+        unforeseen = {MEDIA_TYPE: _problems(status)} if status in UNEXPECTED_ERRORS else {}
         content = {"text/xml": {"schema": {"type": "string"}}, **unforeseen}
         found[status] = {"description": f"{HTTPStatus(status).phrase}: an exception", "content": content}
     return found
@@ -71,7 +71,7 @@ def file_docs(description: str, media_types: Iterable[str]) -> Answers:
     }
 
 
-def for_example(*names: str, **values: str) -> dict[str, Any]:
+def example_query(*names: str, **values: str) -> dict[str, Any]:
     """Return the query of a route's example: ``names`` have their parameters' own examples, ``values`` replace them."""
     return {EXAMPLE_QUERY: dict.fromkeys(names, "") | values}
 
@@ -79,7 +79,7 @@ def for_example(*names: str, **values: str) -> dict[str, Any]:
 EXAMPLE_QUERY = "x-example-query"
 
 
-def key_values(**parameters: tuple[str, str]) -> dict[str, Any]:
+def ogc_parameters(**parameters: tuple[str, str]) -> dict[str, Any]:
     """Return query parameters of an OGC service, each with a description and an example.
 
     Their names ignore case, so no function signature declares them.

@@ -14,13 +14,13 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from skugga.api.exhaustion import exhausted_error
-from skugga.api.http.moments import TIME_HEADER
 from skugga.api.http.problems import domain_problem, problem_of, problem_response
+from skugga.api.http.request_times import TIME_HEADER
 from skugga.api.http.state.metrics import ServiceMetrics
+from skugga.api.resource_exhaustion import exhausted_error
 
 REQUEST_ID = "X-Request-ID"
-SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+REQUEST_ID_PATTERN = re.compile(r"[A-Za-z0-9._-]{1,64}")
 """Accepted request ids of clients: without characters that are special in logs, headers or HTML."""
 
 KEPT = "skugga.kept"
@@ -49,7 +49,7 @@ log = logging.getLogger("skugga")
 access = logging.getLogger("skugga.access")
 
 
-class Watched:
+class RequestMiddleware:
     """The outermost middleware: gives requests ids, counts and times them, and answers unexpected errors."""
 
     def __init__(self, app: ASGIApp, metrics: ServiceMetrics, access_log: bool) -> None:
@@ -61,34 +61,34 @@ class Watched:
             await self.app(scope, receive, send)
             return
         began_s, status, sent_bytes = time.perf_counter(), 0, 0
-        number = _number_of(scope)
-        token = request_id.set(number)
+        id_ = _request_id_of(scope)
+        token = request_id.set(id_)
         scope.setdefault("state", {})
 
-        async def send_watched(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             nonlocal status, sent_bytes
             if message["type"] == "http.response.start":
                 status = message["status"]
-                _complete(MutableHeaders(scope=message), scope, number, (time.perf_counter() - began_s) * 1000.0)
+                _add_common_headers(MutableHeaders(scope=message), scope, id_, (time.perf_counter() - began_s) * 1000.0)
             sent_bytes += len(message.get("body", b""))
             await send(message)
 
         self.metrics.in_progress.inc()
         try:
-            await self.app(scope, receive, send_watched)
+            await self.app(scope, receive, send_with_headers)
         except Exception as error:
             exhausted = exhausted_error(error)
             if exhausted is None:
-                log.exception("%s %s failed unexpectedly", scope["method"], _shown(scope["path"]))
+                log.exception("%s %s failed unexpectedly", scope["method"], _loggable(scope["path"]))
             if not status:
                 answer = problem_response(problem_of(500)) if exhausted is None else domain_problem(Request(scope), exhausted)
-                await answer(scope, receive, send_watched)
+                await answer(scope, receive, send_with_headers)
         finally:
             took_s = time.perf_counter() - began_s
             self.metrics.in_progress.dec()
             self._count(scope, status or CLIENT_GONE, took_s)
             if self.access_log:
-                self._tell(scope, status or CLIENT_GONE, took_s, sent_bytes)
+                self._log_access(scope, status or CLIENT_GONE, took_s, sent_bytes)
             request_id.reset(token)
 
     def _count(self, scope: Scope, status: int, took_s: float) -> None:
@@ -96,14 +96,14 @@ class Watched:
         self.metrics.requests.labels(route, method, str(status)).inc()
         self.metrics.request_seconds.labels(route).observe(took_s)
 
-    def _tell(self, scope: Scope, status: int, took_s: float, sent_bytes: int) -> None:
+    def _log_access(self, scope: Scope, status: int, took_s: float, sent_bytes: int) -> None:
         client = scope.get("client") or ("",)
         access.info(
             "request",
             extra={
                 "fields": {
-                    "client": client[0], "method": scope["method"][:20], "path": _shown(scope["path"]),
-                    "query": _shown(scope["query_string"].decode("latin-1")), "route": _route(scope), "status": status,
+                    "client": client[0], "method": scope["method"][:20], "path": _loggable(scope["path"]),
+                    "query": _loggable(scope["query_string"].decode("latin-1")), "route": _route(scope), "status": status,
                     "ms": round(took_s * 1000.0, 1), "bytes": sent_bytes,
                 }
             },
@@ -120,32 +120,32 @@ class LogLine(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """Return a line of text followed by its traceback, or one line of JSON that includes it."""
         fields: dict[str, Any] = getattr(record, "fields", {})
-        number = request_id.get()
+        id_ = request_id.get()
         if not self._as_json:
             words = [f"{name}={json.dumps(value) if isinstance(value, str) else value}" for name, value in fields.items()]
             line = super().format(record)
             head, newline, traceback = line.partition("\n")
-            return " ".join([head, *words, *([f"[{number}]"] if number else [])]) + newline + traceback
+            return " ".join([head, *words, *([f"[{id_}]"] if id_ else [])]) + newline + traceback
         value = {"time": self.formatTime(record), "level": record.levelname, "message": record.getMessage()}
-        if number:
-            value["request_id"] = number
+        if id_:
+            value["request_id"] = id_
         if record.exc_info:
             value["traceback"] = self.formatException(record.exc_info)
         return json.dumps({**value, **fields})
 
 
-def _number_of(scope: Scope) -> str:
+def _request_id_of(scope: Scope) -> str:
     given = dict(scope["headers"]).get(REQUEST_ID.lower().encode(), b"").decode("latin-1")
-    return given if SANE_ID.fullmatch(given) else secrets.token_hex(8)
+    return given if REQUEST_ID_PATTERN.fullmatch(given) else secrets.token_hex(8)
 
 
-def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float) -> None:
+def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, took_ms: float) -> None:
     """Add the headers that all answers have."""
-    headers[REQUEST_ID] = number
+    headers[REQUEST_ID] = id_
     headers["X-Content-Type-Options"] = "nosniff"
     timings = headers.get("Server-Timing")
     headers["Server-Timing"] = f"{timings}, total;dur={took_ms:.1f}" if timings else f"total;dur={took_ms:.1f}"
-    asked = scope["state"].get("asked_time")
+    asked = scope["state"].get("request_time")
     if asked is not None and TIME_HEADER not in headers:
         headers[TIME_HEADER] = asked.time.isoformat()
     location, public_url = headers.get("Location"), scope["app"].state.service.settings.public_url if "app" in scope else None
@@ -167,6 +167,6 @@ def _route(scope: Scope) -> str:
     return str(route) if route else "other"
 
 
-def _shown(text: str) -> str:
+def _loggable(text: str) -> str:
     """Return a client's text for a log: at most 500 characters on one line."""
     return re.sub(r"[^\x20-\x7e]", "?", text[:500])

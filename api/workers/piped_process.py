@@ -7,7 +7,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
-from skugga.api.workers.process_life import JOIN_S
+from skugga.api.workers.process_life import EXIT_TIMEOUT_S
 from skugga.api.workers.worker_config import WorkerConfig
 
 WorkerTarget = Callable[[Connection, WorkerConfig], None]
@@ -18,25 +18,25 @@ class PipedProcess:
 
     def __init__(self, target: Callable[..., None], *args: Any, name: str) -> None:
         spawn = get_context("spawn")
-        self.pipe, self.theirs = spawn.Pipe()
-        self.process = spawn.Process(target=target, args=(self.theirs, *args), name=name, daemon=True)
+        self.pipe, self.child_end = spawn.Pipe()
+        self.process = spawn.Process(target=target, args=(self.child_end, *args), name=name, daemon=True)
 
     def start(self) -> None:
         """Start the process. Raises ``OSError``."""
         self.process.start()
-        self.theirs.close()  # otherwise the pipe would stay open when the child ends
+        self.child_end.close()  # otherwise the pipe would stay open when the child ends
 
     def end(self) -> None:
         """Kill the process if it runs."""
         if self.process.pid is not None:
             self.process.kill()
-            self.process.join(JOIN_S)
+            self.process.join(EXIT_TIMEOUT_S)
         self.close()
 
     def close(self) -> None:
         """Close the pipe of a process that has ended or was never started."""
         self.pipe.close()
-        self.theirs.close()
+        self.child_end.close()
 
 
 class Spawned(PipedProcess):

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 from pydantic import Field, create_model
 
 from skugga.api.animations.film_order import FilmFormat, FilmOrder
-from skugga.api.film_span import USUAL_FPS, film_span
+from skugga.api.film_span import DEFAULT_FPS, film_span
 from skugga.api.http.parameters import served_settings, style_named
 from skugga.api.http.state.served_levels import ServedLevel
-from skugga.api.http.views.cameras import FURTHEST_UP_M, POSITION_WORDS
+from skugga.api.http.views.cameras import MAX_EYE_OR_TARGET_HEIGHT_M, POSITION_WORDS
 from skugga.api.request import PictureRequest
 from skugga.api.settings import Settings
 from skugga.selector.film_request import ALONG_PATH, FilmSpan
@@ -25,23 +25,23 @@ from skugga.terrain.level.parts import SlopeExaggeration, SunSpec
 from skugga.terrain.level.setting import settings_of
 from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 
-MOST_TEXT = 60
+MAX_TEXT = 60
 """Limit of the characters of a time or of a length of time."""
 
 FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
-Text = Annotated[str, Field(max_length=MOST_TEXT)]
+Text = Annotated[str, Field(max_length=MAX_TEXT)]
 
 
-_WHEN = Field(
+_FROM_FIELD = Field(
     default=None, examples=["2024-10-21T08:00:00-04:00"],
     description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
     "what has a motion moves, and the sun rests. Default: as the path has it.",
 )  # fmt: skip
-_FROM: dict[str, Any] = {"from": (Text | None, _WHEN)}  # a keyword, which a class cannot have as a field
-_Named: Any = create_model("_Named", __base__=Model, **_FROM)
+_FROM: dict[str, Any] = {"from": (Text | None, _FROM_FIELD)}  # a keyword, which a class cannot have as a field
+_FromModel: Any = create_model("_Named", __base__=Model, **_FROM)
 
 
-class _Asked(_Named):
+class _AnimationFields(_FromModel):
     to: Text | None = Field(default=None, examples=["2024-10-21T18:00:00-04:00"], description="The last frame's time, likewise.")
     step: Text | None = Field(
         default=None, examples=["10m"],
@@ -59,7 +59,7 @@ class _Asked(_Named):
         description="What the clock of moving casters shows in the first frame, where `from` is a date; default: the level's.",
     )  # fmt: skip
     format: FilmFormat = Field(default="webp", description="`webp` loses nothing; `mp4` is far smaller, if the service makes it.")
-    fps: float = Field(default=USUAL_FPS, strict=True, examples=[10], description="Frames a second of the film, 0.1 to 120.")
+    fps: float = Field(default=DEFAULT_FPS, strict=True, examples=[10], description="Frames a second of the film, 0.1 to 120.")
     time: Text | None = Field(default=None, description="Of a sun that rests, ISO 8601 with an offset; default: the level's.")
     azimuth: float | None = Field(
         default=None, strict=True, examples=[235], description="With `altitude`, of a sun that rests: degrees from true north."
@@ -73,47 +73,45 @@ class _Asked(_Named):
 
 _SETTINGS = settings_of(Shadows, "pictures")
 
-_OF_SHADOWS: dict[str, Any] = {
+_SHADOW_FIELDS: dict[str, Any] = {
     each.name: (each.type | None, Field(default=None, description=each.about, examples=[each.example])) for each in _SETTINGS
 }
 
-AskedAnimation: Any = create_model(
+AnimationRequest: Any = create_model(
     "AskedAnimation",
-    __base__=_Asked,
+    __base__=_AnimationFields,
     __doc__="An animation: its times, its view and its settings of shadows.",
-    **_OF_SHADOWS,
+    **_SHADOW_FIELDS,
 )
 """The model of the body. The settings of shadows are its last fields."""
 
 
-def order_of(asked: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
-    """Return the order for an ``AskedAnimation``, after all checks that do not need the level's ground. Raises ``InputError``."""
-    if asked.format == "mp4" and find_spec("av") is None:
+def film_order(body: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
+    """Return the order for an ``AnimationRequest``, after all checks that do not need the level's ground. Raises ``InputError``."""
+    if body.format == "mp4" and find_spec("av") is None:
         raise InputError("format", Problem("this service has no encoder of mp4"), "Use webp")
-    if asked.path is not None:
-        if asked.view is not None:
+    if body.path is not None:
+        if body.view is not None:
             raise InputError.conflict("view", "path", "Use one of them; a path is a view of its own")
-        _check_positions(asked.path)
-    span = film_span(
-        getattr(asked, "from"), asked.to, asked.step, asked.fps, asked.path, asked.seconds, settings.max_animation_frames
-    )
-    view = ALONG_PATH if asked.path is not None else level.view_named(asked.view)
-    own_size = asked.path.size if asked.path is not None else level.view_sizes[view]
-    if (size := asked.size or own_size) is not None:
+        _check_positions(body.path)
+    span = film_span(getattr(body, "from"), body.to, body.step, body.fps, body.path, body.seconds, settings.max_animation_frames)
+    view = ALONG_PATH if body.path is not None else level.view_named(body.view)
+    own_size = body.path.size if body.path is not None else level.view_sizes[view]
+    if (size := body.size or own_size) is not None:
         _check_pixels(size, span.frames, settings)
     request = PictureRequest(
-        sun=_resting_sun(asked, span),
-        style=style_named(asked.style),
-        slope_exaggeration=asked.slope_exaggeration,
-        overrides=served_settings({each.name: getattr(asked, each.name) for each in _SETTINGS}),
+        sun=_fixed_sun(body, span),
+        style=style_named(body.style),
+        slope_exaggeration=body.slope_exaggeration,
+        overrides=served_settings({each.name: getattr(body, each.name) for each in _SETTINGS}),
     )
     return FilmOrder(
-        level=level.key, level_name=level.name, span=span, view=view, path=asked.path, size=asked.size, request=request,
-        format=asked.format, fps=asked.fps,
+        level=level.key, level_name=level.name, span=span, view=view, path=body.path, size=body.size, request=request,
+        format=body.format, fps=body.fps,
     )  # fmt: skip
 
 
-def in_body(error: InputError, order: FilmOrder) -> InputError:
+def error_in_body(error: InputError, order: FilmOrder) -> InputError:
     """Return an error of a film under the name of its key in the body.
 
     The engine names the parameter of a film, the camera file or the frame.
@@ -134,7 +132,7 @@ def in_body(error: InputError, order: FilmOrder) -> InputError:
 def _check_positions(path: CameraPathSpec) -> None:
     for number, key in enumerate(path.keys):
         for name, position in (("eye", key.eye), ("target", key.target)):
-            if max(map(abs, position[:2])) > 1e9 or abs(position[2]) > FURTHEST_UP_M:
+            if max(map(abs, position[:2])) > 1e9 or abs(position[2]) > MAX_EYE_OR_TARGET_HEIGHT_M:
                 raise InputError(f"path.keys.{number}.{name}", list(position), POSITION_WORDS)
 
 
@@ -149,15 +147,15 @@ def _check_pixels(size: tuple[int, int], frames: int, settings: Settings) -> Non
         raise InputError.over_limit("size", given, limit, "Use fewer or smaller frames")
 
 
-def _resting_sun(asked: Any, span: FilmSpan) -> SunSpec | None:
+def _fixed_sun(body: Any, span: FilmSpan) -> SunSpec | None:
     """Return the fixed sun of a film without dates; ``None`` with dates. Raises ``InputError``."""
-    sun = parse_sun(asked.time, asked.azimuth, asked.altitude)
+    sun = parse_sun(body.time, body.azimuth, body.altitude)
     if span.start is None:
         if sun is not None and sun.time is not None:
             check_times(as_utc([sun.time]))
         return sun
     for name in ("time", "azimuth", "altitude"):
-        if getattr(asked, name) is not None:
+        if getattr(body, name) is not None:
             raise InputError.conflict(name, "dates in from and to", f"Omit {name}: the dates define the sun")
     for name, moment in (("from", span.start), ("to", span.start + timedelta(seconds=span.length_s))):
         try:

@@ -7,51 +7,51 @@ import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
-from skugga.api.errors import TooManySunsError
+from skugga.api.errors import RateLimitError
 from skugga.terrain.cache import MIB, Cache, Missing
 
-REMEMBERED = 256
+MAX_RECENT_SUNS = 256
 """Number of recent suns of a client that are not counted again. All tiles of one picture have the same sun."""
 
 CLIENT_BYTES = 32 * 1024
-"""Estimated bytes of a client with ``REMEMBERED`` suns."""
+"""Estimated bytes of a client with ``MAX_RECENT_SUNS`` suns."""
 
 
 @dataclass
 class _Client:
-    left: float
-    seen_s: float
+    tokens: float
+    refilled_s: float
     suns: dict[Hashable, None] = field(default_factory=dict)
     """The client's recent suns, the most recent last."""
 
 
-class NewSuns:
+class RateLimiter:
     """A token bucket of suns for each client: ``a_minute`` is its rate and its size; 0 means no limit."""
 
     def __init__(self, a_minute: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._a_minute, self._clock = a_minute, clock
-        self._clients: Cache[_Client] = Cache("skugga.api.http.state.new_suns", "process", 32 * MIB, lambda _: CLIENT_BYTES)
+        self._per_minute, self._clock = a_minute, clock
+        self._clients: Cache[_Client] = Cache("skugga.api.http.state.rate_limiter", "process", 32 * MIB, lambda _: CLIENT_BYTES)
 
-    def take(self, address: str, sun: Hashable) -> None:
-        """Take a token for a sun that is new to a client. Raises ``TooManySunsError`` if none is left."""
-        if not self._a_minute:
+    def acquire(self, address: str, sun: Hashable) -> None:
+        """Take a token for a sun that is new to a client. Raises ``RateLimitError`` if none is left."""
+        if not self._per_minute:
             return
         key, now_s = network_of(address), self._clock()
         found = self._clients.get(key)
-        client = _Client(float(self._a_minute), now_s) if isinstance(found, Missing) else found
-        client.left = min(client.left + (now_s - client.seen_s) * self._a_minute / 60.0, float(self._a_minute))
-        client.seen_s = now_s
+        client = _Client(float(self._per_minute), now_s) if isinstance(found, Missing) else found
+        client.tokens = min(client.tokens + (now_s - client.refilled_s) * self._per_minute / 60.0, float(self._per_minute))
+        client.refilled_s = now_s
         if isinstance(found, Missing):
             self._clients.put(key, value=client)
         if sun in client.suns:
             client.suns[sun] = client.suns.pop(sun)
             return
-        if client.left < 1.0:
-            wait_s = int((1.0 - client.left) * 60.0 / self._a_minute) + 1
-            raise TooManySunsError(f"Too many new suns. The limit is {self._a_minute} a minute for one client.", wait_s)
-        client.left -= 1.0
+        if client.tokens < 1.0:
+            wait_s = int((1.0 - client.tokens) * 60.0 / self._per_minute) + 1
+            raise RateLimitError(f"Too many new suns. The limit is {self._per_minute} a minute for one client.", wait_s)
+        client.tokens -= 1.0
         client.suns[sun] = None
-        while len(client.suns) > REMEMBERED:
+        while len(client.suns) > MAX_RECENT_SUNS:
             client.suns.pop(next(iter(client.suns)))
 
 

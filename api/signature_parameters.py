@@ -12,12 +12,12 @@ from skugga.terrain.level.setting import FrontEnd, Setting, settings_of
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
-def takes_parameters(parameters: Sequence[tuple[str, Any]], after: str | None = None) -> Callable[[FunctionT], FunctionT]:
+def with_parameters(parameters: Sequence[tuple[str, Any]], after: str | None = None) -> Callable[[FunctionT], FunctionT]:
     """Return a decorator that replaces ``**asked`` in a function's signature by parameters (names and annotations).
 
     Their default is ``None``. They come last, or ``after`` the parameter of that name.
     """
-    shown = [
+    added = [
         inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=annotation)
         for name, annotation in parameters
     ]
@@ -25,15 +25,15 @@ def takes_parameters(parameters: Sequence[tuple[str, Any]], after: str | None = 
     def decorated(function: FunctionT) -> FunctionT:
         signature = inspect.signature(function, eval_str=True)
         own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
-        place = len(own) if after is None else [each.name for each in own].index(after) + 1
-        vars(function)["__signature__"] = signature.replace(parameters=[*own[:place], *shown, *own[place:]])
+        index = len(own) if after is None else [each.name for each in own].index(after) + 1
+        vars(function)["__signature__"] = signature.replace(parameters=[*own[:index], *added, *own[index:]])
         return function
 
     return decorated
 
 
-def takes_settings(
+def with_shadow_settings(
     front_end: FrontEnd, annotation: Callable[[Setting], Any], after: str | None = None
 ) -> Callable[[FunctionT], FunctionT]:
     """Return a decorator that replaces ``**asked`` in a function's signature by a front end's shadow settings."""
-    return takes_parameters([(each.name, annotation(each)) for each in settings_of(Shadows, front_end)], after)
+    return with_parameters([(each.name, annotation(each)) for each in settings_of(Shadows, front_end)], after)

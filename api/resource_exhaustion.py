@@ -15,30 +15,30 @@ from skugga.api.errors import ExhaustedError
 
 T = TypeVar("T")
 
-NO_THREAD = "can't start new thread"
+NO_THREAD_MESSAGE = "can't start new thread"
 """Text of the plain ``RuntimeError`` that Python raises."""
 
-NO_ROOM = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM, errno.EAGAIN}
+EXHAUSTION_ERRNOS = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM, errno.EAGAIN}
 """Error numbers of exhausted file descriptors, memory, and processes (``EAGAIN`` of fork(2))."""
 
 
 def exhausted_error(error: BaseException) -> ExhaustedError | None:
     """Return an ``ExhaustedError`` if an error, or one of its causes, reports exhausted resources; else ``None``."""
-    for each in _chain(error):
+    for each in _error_chain(error):
         if isinstance(each, ExhaustedError):
             return each
-        if isinstance(each, RuntimeError) and NO_THREAD in str(each):
+        if isinstance(each, RuntimeError) and NO_THREAD_MESSAGE in str(each):
             return ExhaustedError("no thread can be started")
         if isinstance(each, MemoryError):
             return ExhaustedError("no memory is left")
-        if isinstance(each, OSError) and each.errno in NO_ROOM:
+        if isinstance(each, OSError) and each.errno in EXHAUSTION_ERRNOS:
             return ExhaustedError(each.strerror or str(each))
     return None
 
 
-def in_thread(threads: Executor, function: Callable[..., T], *args: Any) -> asyncio.Future[T]:
+def run_in_pool(threads: Executor, function: Callable[..., T], *args: Any) -> asyncio.Future[T]:
     """Run a function in a thread pool. Raises ``ExhaustedError`` if no thread can be started; the function then never runs."""
-    call = _Call(function, args)
+    call = _CancellableCall(function, args)
     try:
         return asyncio.get_running_loop().run_in_executor(threads, call)
     except RuntimeError as error:
@@ -46,7 +46,7 @@ def in_thread(threads: Executor, function: Callable[..., T], *args: Any) -> asyn
         raise exhausted_error(error) or error from None
 
 
-class _Call:
+class _CancellableCall:
     def __init__(self, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
         self._function, self._args = function, args
         self.is_dropped = False
@@ -55,10 +55,10 @@ class _Call:
         return None if self.is_dropped else self._function(*self._args)
 
 
-def _chain(error: BaseException) -> Iterator[BaseException]:
+def _error_chain(error: BaseException) -> Iterator[BaseException]:
     seen: set[int] = set()
-    following: BaseException | None = error
-    while following is not None and id(following) not in seen:
-        seen.add(id(following))
-        yield following
-        following = following.__cause__ or following.__context__
+    current: BaseException | None = error
+    while current is not None and id(current) not in seen:
+        seen.add(id(current))
+        yield current
+        current = current.__cause__ or current.__context__

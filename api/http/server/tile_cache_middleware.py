@@ -7,15 +7,15 @@ from functools import partial
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from skugga.api.http.server.watching import KEPT
-from skugga.api.http.state.encoded_tiles import DrawnBy, EncodedTile
+from skugga.api.http.server.request_middleware import KEPT
+from skugga.api.http.state.encoded_tiles import EncodedTile, TileVersions
 from skugga.api.http.state.service import Service
 
-KEPT_TILE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)"
+CACHED_TILE_ROUTE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)"
 """The route in metrics and logs of tiles that this middleware sends."""
 
 
-def drawn_by(service: Service, name: str) -> DrawnBy:
+def tile_versions(service: Service, name: str) -> TileVersions:
     """Return the versions that the tiles of a level depend on besides their addresses.
 
     It is ``(None,)`` if a check of the level or its archives is due.
@@ -27,7 +27,7 @@ def drawn_by(service: Service, name: str) -> DrawnBy:
     return level.version, service.pool.renderer, service.pool.plan_version(level.key), archives.version
 
 
-class SentBefore:
+class TileCacheMiddleware:
     """Middleware that answers requests for cached tiles before routing."""
 
     def __init__(self, app: ASGIApp, service: Service) -> None:
@@ -35,12 +35,12 @@ class SentBefore:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send a cached tile, or run the application."""
-        tile = self._sent(scope) if scope["type"] == "http" and scope["method"] == "GET" else None
+        tile = self._cached_tile(scope) if scope["type"] == "http" and scope["method"] == "GET" else None
         if tile is None:
             await self.app(scope, receive, send)
         else:
-            scope[KEPT] = KEPT_TILE
+            scope[KEPT] = CACHED_TILE_ROUTE
             await tile.answer(Request(scope))(scope, receive, send)
 
-    def _sent(self, scope: Scope) -> EncodedTile | None:
-        return self.service.tiles.sent_before(scope, partial(drawn_by, self.service))
+    def _cached_tile(self, scope: Scope) -> EncodedTile | None:
+        return self.service.tiles.cached_tile(scope, partial(tile_versions, self.service))

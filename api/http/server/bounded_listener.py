@@ -19,13 +19,13 @@ log = logging.getLogger("skugga")
 ACCEPTED_AT_ONCE = 64
 """Maximum number of connections that are accepted in one step of the event loop."""
 
-LOOK_S = 0.25
+REAP_INTERVAL_S = 0.25
 """Interval of the search for stalled connections."""
 
 PAUSE_S = 0.5
 """Pause of accepting after the system has run out of file descriptors."""
 
-TOLD_EVERY_S = 60.0
+LOG_INTERVAL_S = 60.0
 """Minimum interval of log messages about a lack of file descriptors."""
 
 OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
@@ -96,42 +96,42 @@ class BoundedListener:
         self.refused = 0
         self._listening, self._make_protocol = listening, make_protocol
         self._connections, self._limit, self._client_s = connections, limit, client_s
-        self._being_made: set[asyncio.Task[Any]] = set()
+        self._connecting: set[asyncio.Task[Any]] = set()
         self._waiting: dict[HttpConnection, _Waiting] = {}
         self._loop = asyncio.get_running_loop()
-        self._told_s = -TOLD_EVERY_S
+        self._logged_s = -LOG_INTERVAL_S
         self._paused_until_s = 0.0
-        self._accepts = False
-        self._closed = False
+        self._is_accepting = False
+        self._is_closed = False
         listening.setblocking(False)
-        self._look: asyncio.TimerHandle = self._loop.call_soon(self._look_round)  # type: ignore[assignment]
+        self._reap_timer: asyncio.TimerHandle = self._loop.call_soon(self._reap_stalled)  # type: ignore[assignment]
         self._resume()
 
     def close(self) -> None:
         """Stop accepting connections and close the socket."""
-        self._closed = True
+        self._is_closed = True
         self._pause()
-        self._look.cancel()
+        self._reap_timer.cancel()
         self._listening.close()
 
     async def wait_closed(self) -> None:
         """Wait until pending connections are established."""
-        if self._being_made:
-            await asyncio.wait(self._being_made)
+        if self._connecting:
+            await asyncio.wait(self._connecting)
 
     def _resume(self) -> None:
-        if not self._accepts and not self._closed:
-            self._accepts = True
+        if not self._is_accepting and not self._is_closed:
+            self._is_accepting = True
             self._loop.add_reader(self._listening, self._accept)
 
     def _pause(self) -> None:
-        if self._accepts:
-            self._accepts = False
+        if self._is_accepting:
+            self._is_accepting = False
             self._loop.remove_reader(self._listening)
 
     def _accept(self) -> None:
         for _ in range(ACCEPTED_AT_ONCE):
-            if len(self._connections) + len(self._being_made) >= self._limit and not self._make_way():
+            if len(self._connections) + len(self._connecting) >= self._limit and not self._evict_idle():
                 self._pause()
                 return
             try:
@@ -141,17 +141,17 @@ class BoundedListener:
             except OSError as error:
                 self._pause()
                 self._paused_until_s = self._loop.time() + PAUSE_S
-                if error.errno not in OUT_OF_RESOURCES or self._loop.time() - self._told_s >= TOLD_EVERY_S:
-                    self._told_s = self._loop.time()
+                if error.errno not in OUT_OF_RESOURCES or self._loop.time() - self._logged_s >= LOG_INTERVAL_S:
+                    self._logged_s = self._loop.time()
                     log.error("connections cannot be accepted: %s; retrying every %g s", error.strerror, PAUSE_S)
                 return
             client.setblocking(False)
             task = self._loop.create_task(self._connect(client))
-            self._being_made.add(task)
-            task.add_done_callback(self._is_made)
+            self._connecting.add(task)
+            task.add_done_callback(self._on_connected)
 
-    def _is_made(self, task: asyncio.Task[Any]) -> None:
-        self._being_made.discard(task)
+    def _on_connected(self, task: asyncio.Task[Any]) -> None:
+        self._connecting.discard(task)
         if self._loop.time() >= self._paused_until_s:
             self._resume()
 
@@ -161,28 +161,28 @@ class BoundedListener:
         except OSError:  # the client has already disconnected
             client.close()
 
-    def _make_way(self) -> bool:
+    def _evict_idle(self) -> bool:
         """Close the connection that has waited longest for its request. Return whether one was idle."""
-        self._note_what_waits()
+        self._update_waiting()
         idle = [(state.since_s, connection) for connection, state in self._waiting.items() if _awaits_request(connection)]
         if not idle:
             return False
         _, longest = min(idle, key=lambda each: each[0])
-        self._end(longest)
+        self._close_connection(longest)
         return True
 
-    def _look_round(self) -> None:
+    def _reap_stalled(self) -> None:
         """Close stalled connections and resume accepting."""
-        self._note_what_waits()
+        self._update_waiting()
         now_s = self._loop.time()
         for connection, state in list(self._waiting.items()):
             if now_s - state.since_s > self._client_s and _waits_for_client(connection):
-                self._end(connection)
+                self._close_connection(connection)
         if now_s >= self._paused_until_s:
             self._resume()
-        self._look = self._loop.call_later(LOOK_S, self._look_round)
+        self._reap_timer = self._loop.call_later(REAP_INTERVAL_S, self._reap_stalled)
 
-    def _note_what_waits(self) -> None:
+    def _update_waiting(self) -> None:
         now_s = self._loop.time()
         for connection in list(self._waiting):
             if connection not in self._connections:
@@ -192,7 +192,7 @@ class BoundedListener:
             if state is None or state.what != what:
                 self._waiting[connection] = _Waiting(what, now_s)
 
-    def _end(self, connection: HttpConnection) -> None:
+    def _close_connection(self, connection: HttpConnection) -> None:
         self.refused += 1
         self._connections.discard(connection)
         self._waiting.pop(connection, None)

@@ -16,7 +16,7 @@ from fastapi.routing import APIRoute
 
 from skugga.api.animations.animations import Animations
 from skugga.api.errors import ExhaustedError, outcome_of
-from skugga.api.exhaustion import exhausted_error, in_thread
+from skugga.api.resource_exhaustion import exhausted_error, run_in_pool
 from skugga.api.settings import Settings
 from skugga.api.workers import background_compile
 from skugga.api.workers.background_compile import BackgroundCompile
@@ -83,8 +83,8 @@ def test_what_no_thread_could_be_started_for_is_never_run(monkeypatch: pytest.Mo
     async def scenario() -> None:
         with ThreadPoolExecutor(1) as threads:
             with no_threads(monkeypatch), pytest.raises(ExhaustedError):
-                in_thread(threads, ran.append, "dropped")
-            await in_thread(threads, ran.append, "run")
+                run_in_pool(threads, ran.append, "dropped")
+            await run_in_pool(threads, ran.append, "run")
 
     asyncio.run(scenario())
     assert ran == ["run"]
@@ -103,7 +103,7 @@ def test_a_process_that_there_is_no_thread_to_ask_in_is_kept(monkeypatch: pytest
                 with no_threads(monkeypatch), pytest.raises(ExhaustedError):
                     await pool.run(block(number))
             assert (await pool.run(block(0))).tiles
-        assert pool.pids == pids and pool.tally.started == 1
+        assert pool.pids == pids and pool.counters.started == 1
 
     with_pool(scenario)
 

@@ -12,10 +12,10 @@ from skugga.api.workers.expected_times import kind_of_job
 from skugga.api.workers.jobs import BlockJob, DescribedPlanJob, DescriptorJob, Job, PlanJob
 from skugga.terrain.cache import MIB, Cache, Missing
 
-FAILURES = 2
+FAILURE_THRESHOLD = 2
 """Failures in a row after which the circuit opens."""
 
-FIRST_ABSENCE_S, LONGEST_ABSENCE_S = 30.0, 600.0
+INITIAL_OPEN_S, MAX_OPEN_S = 30.0, 600.0
 """Duration of the open state: first and maximum. It doubles with each further failure."""
 
 
@@ -23,10 +23,10 @@ FIRST_ABSENCE_S, LONGEST_ABSENCE_S = 30.0, 600.0
 class _Record:
     failures: int = 0
     until: float = 0.0
-    next_pause_s: float = FIRST_ABSENCE_S
+    next_pause_s: float = INITIAL_OPEN_S
 
 
-class SetAside:
+class CircuitBreaker:
     """Circuit breakers of all kinds of jobs.
 
     Failures of plain pictures (without overrides of shadows) open the circuit of the whole level. Failures of other pictures
@@ -35,7 +35,7 @@ class SetAside:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._records: Cache[_Record] = Cache("skugga.api.workers.set_aside", "process", MIB, lambda _: 512)
+        self._records: Cache[_Record] = Cache("skugga.api.workers.circuit_breaker", "process", MIB, lambda _: 512)
 
     def seconds_left(self, job: Job) -> float:
         """Return how long the circuit of a job stays open, in seconds; 0 if it is closed."""
@@ -43,19 +43,19 @@ class SetAside:
 
     def failed(self, job: Job) -> None:
         """Record a job that timed out or ended its process."""
-        for key in _counted(job):
+        for key in _affected_keys(job):
             record = self._record(key)
             record = replace(record, failures=record.failures + 1)
-            if record.failures >= FAILURES:
+            if record.failures >= FAILURE_THRESHOLD:
                 # After the pause a single further failure opens the circuit again.
                 record = _Record(
-                    FAILURES - 1, self._clock() + record.next_pause_s, min(record.next_pause_s * 2.0, LONGEST_ABSENCE_S)
+                    FAILURE_THRESHOLD - 1, self._clock() + record.next_pause_s, min(record.next_pause_s * 2.0, MAX_OPEN_S)
                 )
             self._records.put(key, value=record)
 
     def succeeded(self, job: Job) -> None:
         """Record a job that succeeded."""
-        for key in _counted(job):
+        for key in _affected_keys(job):
             self._records.drop(key)
 
     def _record(self, key: Hashable) -> _Record:
@@ -68,7 +68,7 @@ def _keys(job: Job) -> list[Hashable]:
     return own if isinstance(job, DescribedPlanJob) else [*own, ("level", str(job.level.path), job.level.version)]
 
 
-def _counted(job: Job) -> list[Hashable]:
+def _affected_keys(job: Job) -> list[Hashable]:
     """Return the keys whose circuits an outcome of a job affects."""
     plain = isinstance(job, BlockJob | PlanJob | DescriptorJob) and not job.request.overrides.asked
     return _keys(job) if plain else _keys(job)[:1]

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skugga.api.errors import TooManySunsError
-from skugga.api.http.moments import rounded_time
-from skugga.api.http.state.new_suns import NewSuns, network_of
+from skugga.api.errors import RateLimitError
+from skugga.api.http.request_times import rounded_time
+from skugga.api.http.state.rate_limiter import RateLimiter, network_of
 from tests.api.conftest import CORNER, ZOOM
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
@@ -43,7 +43,7 @@ def test_times_within_a_grain_are_one_picture_that_names_its_time(serve_with):
     first, second = (client.get(TILE, params={"time": f"{DAY}12:00:{s}+02:00"}) for s in ("05", "20"))
     assert first.status_code == 200
     assert first.headers["etag"] == second.headers["etag"]
-    assert client.service.pool.tally.answered == 1
+    assert client.service.pool.counters.answered == 1
     for answer in (first, second, client.get(TILE, params={"time": f"{DAY}12:00:05+02:00"})):
         assert answer.headers["x-skugga-time"] == f"{DAY}12:00:00+02:00"
         assert "x-skugga-time" in answer.headers["access-control-expose-headers"].lower() if "origin" in answer.headers else True
@@ -76,7 +76,7 @@ def test_current_is_now_and_soon_stale(serve_with):
 
 
 def test_an_address_that_means_now_is_not_remembered(serve_with, monkeypatch: pytest.MonkeyPatch):
-    from skugga.api.http import moments
+    from skugga.api.http import request_times
 
     class Clock(datetime):
         at = datetime(2024, 6, 21, 12, 0, 30, tzinfo=UTC)
@@ -86,7 +86,7 @@ def test_an_address_that_means_now_is_not_remembered(serve_with, monkeypatch: py
             return cls.at
 
     client = serve_with(fake_workers.obedient)
-    monkeypatch.setattr(moments, "datetime", Clock)
+    monkeypatch.setattr(request_times, "datetime", Clock)
     one = client.get(TILE, params={"time": "current"})
     monkeypatch.setattr(Clock, "at", datetime(2024, 6, 21, 12, 2, 1, tzinfo=UTC))
     other = client.get(TILE, params={"time": "current"})
@@ -96,24 +96,24 @@ def test_an_address_that_means_now_is_not_remembered(serve_with, monkeypatch: py
 
 def test_new_suns_of_a_client_are_bounded_and_known_ones_are_not():
     now = [0.0]
-    suns = NewSuns(3, lambda: now[0])
+    suns = RateLimiter(3, lambda: now[0])
     for sun in ("a", "b", "c", "a", "b"):
-        suns.take("10.0.0.1", sun)
-    with pytest.raises(TooManySunsError) as caught:
-        suns.take("10.0.0.1", "d")
+        suns.acquire("10.0.0.1", sun)
+    with pytest.raises(RateLimitError) as caught:
+        suns.acquire("10.0.0.1", "d")
     assert caught.value.retry_after_s == 21
-    suns.take("10.0.0.1", "a")
-    suns.take("10.0.0.2", "d")
+    suns.acquire("10.0.0.1", "a")
+    suns.acquire("10.0.0.2", "d")
     now[0] = 20.5
-    suns.take("10.0.0.1", "d")
-    with pytest.raises(TooManySunsError):
-        suns.take("10.0.0.1", "e")
+    suns.acquire("10.0.0.1", "d")
+    with pytest.raises(RateLimitError):
+        suns.acquire("10.0.0.1", "e")
 
 
 def test_no_limit_of_suns():
-    suns = NewSuns(0)
+    suns = RateLimiter(0)
     for sun in range(10_000):
-        suns.take("10.0.0.1", sun)
+        suns.acquire("10.0.0.1", sun)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
-from skugga.terrain.gbuffer.supersampling import is_bare
+from skugga.terrain.gbuffer.supersampling import is_terrain_only
 from skugga.terrain.geo.grid import BLOCK_PX, Grid
 from skugga.terrain.geo.light_space import LightSpace, light_space
 from skugga.terrain.geo.world import transformer
@@ -33,16 +33,16 @@ from skugga.terrain.ground.sky_view_factor import sky_view
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 
-WHOLE_LEVEL = frozenset({"clouds", "lamps"})
+GLOBAL_EFFECTS = frozenset({"clouds", "lamps"})
 """Effects that make a picture depend on ground anywhere."""
 
-SIDE_PARTS = 4
+LATTICE_PARTS = 4
 """Parts per side of a block. The lattice of their corners bounds the block's ground."""
 
-BESIDE_PX, BESIDE_CELLS = 8, 8
+MARGIN_PX, MARGIN_CELLS = 8, 8
 """Pixels around a block, and cells around those, that its normals and bilinear heights depend on."""
 
-BLUR_DEG = 0.3
+SHADOW_MARGIN_DEG = 0.3
 """Half of the sun's disc, plus slightly more than terrestrial refraction bends a ray of 100 km."""
 
 
@@ -63,7 +63,7 @@ class _Chunks:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sunlit:
+class _SunlitChunks:
     """Chunks in light space.
 
     Attributes
@@ -72,19 +72,19 @@ class _Sunlit:
         The light space of the sun.
     tops : (n, 3)
         Highest points, including objects on the ground.
-    tall_m : float
+    object_height_m : float
         Height of the tallest object in metres.
-    point_by_point : bool
+    is_per_point : bool
         Whether shadows are computed for each point separately.
     """
 
     light: LightSpace
     tops: np.ndarray
-    tall_m: float
-    point_by_point: bool
+    object_height_m: float
+    is_per_point: bool
 
 
-class ReachedGround:
+class GroundDependencies:
     """Computes digests of blocks that change with any ground that their tiles depend on."""
 
     def __init__(self, scene: Scene, chunks: GroundChunks) -> None:
@@ -92,7 +92,7 @@ class ReachedGround:
         self._points = _chunk_points(scene, chunks)
         self._cells: dict[tuple[Grid, int, int], tuple[float, float, float, float]] = {}
 
-    def under(self, scene: Scene) -> ReachedGround:
+    def with_sun(self, scene: Scene) -> GroundDependencies:
         """Return a copy for the same ground under another sun. The positions of blocks on the ground are shared."""
         other = copy(self)
         other._scene = scene
@@ -114,28 +114,28 @@ class ReachedGround:
         """
         sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_PASS in plan.runs else None
         out = []
-        for (x, y), reached in zip(blocks, self.reached(grid, blocks, plan), strict=True):
+        for (x, y), mask in zip(blocks, self.chunk_masks(grid, blocks, plan), strict=True):
             digest = hashlib.blake2b(digest_size=CHUNK_DIGEST_BYTES)
-            digest.update(np.packbits(reached).tobytes())
-            digest.update(self._chunks.digests[reached].tobytes())
+            digest.update(np.packbits(mask).tobytes())
+            digest.update(self._chunks.digests[mask].tobytes())
             if sky is not None:
                 digest.update(sky.of(self._cells_of(grid, x, y)))
             out.append(digest.digest())
         return out
 
-    def reached(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None) -> list[np.ndarray]:
+    def chunk_masks(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None) -> list[np.ndarray]:
         """Return the chunks that each block depends on, as bool masks (rows, cols)."""
         shape = self._chunks.low_m.shape
-        if plan is not None and plan.runs & WHOLE_LEVEL:
+        if plan is not None and plan.runs & GLOBAL_EFFECTS:
             return [np.ones(shape, np.bool_) for _ in blocks]
         sunlit = None if plan is None else self._tops_in_sun(plan)
         out = []
         for x, y in blocks:
-            shown = self._shown(grid, x, y)
-            out.append(shown if sunlit is None else shown | self._shading(grid, x, y, shown, sunlit))
+            shown = self._visible_chunks(grid, x, y)
+            out.append(shown if sunlit is None else shown | self._shading_chunks(grid, x, y, shown, sunlit))
         return out
 
-    def shares_on_data(self, grid: Grid, blocks: Sequence[tuple[int, int]]) -> list[float]:
+    def data_shares(self, grid: Grid, blocks: Sequence[tuple[int, int]]) -> list[float]:
         """Return the approximate share of each block that lies on the raster, 0 to 1."""
         rows, cols = self._scene.elevation.shape
         out = []
@@ -150,10 +150,10 @@ class ReachedGround:
         """Return the first and last row and column of the raster under a block and its margin; infinite if unknown."""
         place = grid, x, y
         if place not in self._cells:
-            self._cells[place] = self._found_cells(grid, x, y)
+            self._cells[place] = self._compute_cells(grid, x, y)
         return self._cells[place]
 
-    def _found_cells(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
+    def _compute_cells(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
         elevation = self._scene.elevation
         map_x, map_y = _lattice(grid, x, y)
         if grid.crs != elevation.crs:
@@ -162,13 +162,13 @@ class ReachedGround:
         if not np.isfinite(row).all() or not np.isfinite(col).all():
             return -np.inf, np.inf, -np.inf, np.inf
         coarse = max(2.0 ** self._scene.surface(grid).level, 1.0)
-        beside = coarse * (BESIDE_CELLS + (FILL_CELLS if self._chunks.holes else 0))
-        sagged = [0.01 * np.ptp(values) + beside for values in (row, col)]  # margin for curved sides of a block
+        margin = coarse * (MARGIN_CELLS + (FILL_CELLS if self._chunks.holes else 0))
+        margins = [0.01 * np.ptp(values) + margin for values in (row, col)]  # margin for curved sides of a block
         if elevation.crs.is_geographic and (np.ptp(col) > elevation.cols / 2 or col.min() < 0 or col.max() > elevation.cols):
-            return row.min() - sagged[0], row.max() + sagged[0], -np.inf, np.inf  # it may lie across the antimeridian
-        return row.min() - sagged[0], row.max() + sagged[0], col.min() - sagged[1], col.max() + sagged[1]
+            return row.min() - margins[0], row.max() + margins[0], -np.inf, np.inf  # it may lie across the antimeridian
+        return row.min() - margins[0], row.max() + margins[0], col.min() - margins[1], col.max() + margins[1]
 
-    def _shown(self, grid: Grid, x: int, y: int) -> np.ndarray:
+    def _visible_chunks(self, grid: Grid, x: int, y: int) -> np.ndarray:
         top, bottom, left, right = self._cells_of(grid, x, y)
         rows, cols = self._chunks.low_m.shape
         first_row, first_col = np.arange(rows) * self._chunks.side, np.arange(cols) * self._chunks.side
@@ -176,40 +176,45 @@ class ReachedGround:
         in_cols = (first_col <= right + 0.5) & (first_col + self._chunks.side > left - 0.5)
         return in_rows[:, None] & in_cols[None, :]
 
-    def _tops_in_sun(self, plan: Plan) -> _Sunlit | None:
+    def _tops_in_sun(self, plan: Plan) -> _SunlitChunks | None:
         """Return the chunks' highest ground in light space; ``None`` if the plan casts no shadow of the sun."""
         scene = with_apparent_sun(self._scene, plan.runs)
         if scene.sun is None or not scene.sun_is_up or not plan.casts:
             return None
-        light, tall_m = light_space(scene.world, scene.sun), scene.objects.tallest_m
-        tops = light.from_earth(self._points.top_earth_m + tall_m * _unit(self._points.top_earth_m))
+        light, object_height_m = light_space(scene.world, scene.sun), scene.objects.tallest_m
+        tops = light.from_earth(self._points.top_earth_m + object_height_m * _unit(self._points.top_earth_m))
         # Algorithms with OpenGL fit their maps to all casters; the others compute each point separately.
         fitted = any(ALGORITHMS[step.algorithm].needs_opengl for step in plan.steps)
-        return _Sunlit(light, tops, tall_m, is_bare(scene) and not fitted)
+        return _SunlitChunks(light, tops, object_height_m, is_terrain_only(scene) and not fitted)
 
-    def _shading(self, grid: Grid, x: int, y: int, shown: np.ndarray, sunlit: _Sunlit) -> np.ndarray:
+    def _shading_chunks(self, grid: Grid, x: int, y: int, shown: np.ndarray, sunlit: _SunlitChunks) -> np.ndarray:
         """Return the chunks that can cast a shadow on a block whose ground lies in the chunks ``shown``."""
-        scene, known = self._scene, shown & np.isfinite(self._chunks.low_m)
-        if not known.any():
+        scene, with_heights = self._scene, shown & np.isfinite(self._chunks.low_m)
+        if not with_heights.any():
             return np.zeros(shown.shape, np.bool_)
-        low_m, high_m = float(self._chunks.low_m[known].min()), float(self._chunks.high_m[known].max()) + sunlit.tall_m
+        low_m, high_m = (
+            float(self._chunks.low_m[with_heights].min()),
+            float(self._chunks.high_m[with_heights].max()) + sunlit.object_height_m,
+        )
         map_x, map_y = _lattice(grid, x, y)
         point, up = (values.reshape(-1, 3) for values in scene.world.ground(grid.crs, map_x, map_y))
-        there = np.isfinite(point).all(axis=1)
-        if not there.any():
+        valid = np.isfinite(point).all(axis=1)
+        if not valid.any():
             return np.ones(shown.shape, np.bool_)
-        receivers = sunlit.light.from_earth(np.concatenate([point[there] + height * up[there] for height in (low_m, high_m)]))
-        least, most, tops = receivers.min(axis=0), receivers.max(axis=0), sunlit.tops
-        distance_m = np.maximum(most[2] - tops[:, 2], 0.0)
-        room_m = self._points.half_m + np.tan(np.radians(BLUR_DEG)) * distance_m
-        if not sunlit.point_by_point:
+        receivers = sunlit.light.from_earth(np.concatenate([point[valid] + height * up[valid] for height in (low_m, high_m)]))
+        lower, upper, tops = receivers.min(axis=0), receivers.max(axis=0), sunlit.tops
+        distance_m = np.maximum(upper[2] - tops[:, 2], 0.0)
+        margin_m = self._points.half_m + np.tan(np.radians(SHADOW_MARGIN_DEG)) * distance_m
+        if not sunlit.is_per_point:
             step_m = map_pixel_m(scene.world, block_of_grid(grid, x, y))
-            room_m = room_m + np.maximum(PATCH_QUADS * step_m, distance_m * 2.0 * PATCH_QUADS / FULL_DETAIL_NODES) * np.sqrt(2.0)
-        can = (
-            (tops[:, 0] >= least[0] - room_m) & (tops[:, 0] <= most[0] + room_m)
-            & (tops[:, 1] >= least[1] - room_m) & (tops[:, 2] <= most[2] + room_m)
+            margin_m = margin_m + np.maximum(PATCH_QUADS * step_m, distance_m * 2.0 * PATCH_QUADS / FULL_DETAIL_NODES) * np.sqrt(
+                2.0
+            )
+        can_shade = (
+            (tops[:, 0] >= lower[0] - margin_m) & (tops[:, 0] <= upper[0] + margin_m)
+            & (tops[:, 1] >= lower[1] - margin_m) & (tops[:, 2] <= upper[2] + margin_m)
         )  # fmt: skip
-        return can.reshape(shown.shape)
+        return can_shade.reshape(shown.shape)
 
 
 class _SkyDigests:
@@ -244,7 +249,7 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
 
 def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
     """Return map coordinates of a lattice over a block with a small margin."""
-    steps = np.linspace(-BESIDE_PX, BLOCK_PX + BESIDE_PX, SIDE_PARTS + 1)
+    steps = np.linspace(-MARGIN_PX, BLOCK_PX + MARGIN_PX, LATTICE_PARTS + 1)
     col, row = np.meshgrid(x * BLOCK_PX + steps, y * BLOCK_PX + steps)
     return grid.x(col), grid.y(row)
 
