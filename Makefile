@@ -29,7 +29,7 @@ help:
 	@echo "make test-lowest   a quick part of the tests with the lowest versions that pyproject.toml allows (Python 3.11)"
 	@echo "make lock          write requirements.lock: the newest versions that pyproject.toml allows"
 	@echo "make hunt          draw new situations for an algorithm (ARGS='shadow_map --examples 1000 --seed 7')"
-	@echo "make check         ruff, mypy and import-linter"
+	@echo "make check         ruff, mypy, import-linter and the names that must not come back"
 	@echo "make notebook      run examples/a_winters_day.py into docs/a-winters-day.ipynb; look at it"
 	@echo "make viewer        build the viewer into api/static/"
 	@echo "make wheel         build a wheel with the viewer and compiled loops into dist/"
@@ -93,6 +93,7 @@ check: $(INSTALLED)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports --no-logo
+	$(VENV)/bin/python scripts/check_words.py
 
 notebook: setup
 	$(VENV)/bin/python -m pip install -qq -c requirements.lock -e '.[docs]'
