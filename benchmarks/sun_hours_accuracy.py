@@ -1,11 +1,11 @@
-"""Hours of sun beside rays, in minutes, on surfaces of mountains, cities and forests; and the seconds that they take.
+"""Accuracy of sun hours against rays, in minutes, on surfaces of mountains, cities and forests; and their time in seconds.
 
     python -m benchmarks.sun_hours_accuracy FOLDER [--date 2024-03-21] [--steps auto,15,5,2,1] [--cells 3000] [--seconds]
         [--markdown FILE]
 
-FOLDER has the folders `mountain`, `urban` and `forest`, each with rasters of heights. Some cells of each raster, off its rim and
-off holes, are followed through the day by rays every 10 seconds, through the very triangles that the sweep goes by. `--seconds`
-measures the time for 4.2 million cells of made mountains instead, on the cores that the process may use (`taskset -c 0` for one).
+FOLDER has the folders `mountain`, `urban` and `forest`, each with rasters of heights. Rays every 10 seconds follow random cells of
+each raster through the day, away from its rim and holes, against the same triangles as the sweep. `--seconds` instead measures the
+time for 4.2 million cells of generated mountains, on the cores that the process may use (`taskset -c 0` for one).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from skugga.api.raster_view import raster_view
 from skugga.shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import WindowSun, window_suns
 from skugga.terrain.casters.rays import RayScene
-from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.gbuffer.bare_nodes import HALO, bare_nodes
 from skugga.terrain.geo.daily_windows import daily_window
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.ground.sheet import Sheet
@@ -41,20 +41,20 @@ KINDS = {
     "urban": ("essen_dom1_32_356_5699_1_nw_2020.tif", "goteborg_1m/DSM.tif"),
     "forest": ("quebec_DSM.tif", "kootenay_CHM_025m.tif"),
 }
-"""Rasters of each folder that are measured: surfaces, as what stands on the ground is in them."""
+"""Rasters of each folder: surface models, which include buildings and trees."""
 
 RAYS_MIN = 10.0 / 60.0
 
 OFF_HOLES = 3
-"""Cells that a sampled cell lies from the rim and from any hole, at least."""
+"""The least distance of a sampled cell from the rim and from any hole, in cells."""
 
 AT_A_TIME = 100
-"""Suns whose rays are sent at a time."""
+"""Number of suns per batch of rays."""
 
 
 @dataclass(frozen=True)
 class WrongMinutes:
-    """What is wrong with a quantity over cells: the mean, and what 99 % of the cells stay under."""
+    """The error of a quantity over cells: the mean, and the 99th percentile."""
 
     mean: float
     p99: float
@@ -93,15 +93,18 @@ class CellRays:
 
     @staticmethod
     def over(scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray) -> CellRays:
-        """From cells of a map's block, through the very triangles that the sweep goes by, in the frame of ``bare_nodes``."""
+        """Return rays from cells of a map's block, against the triangles of the sweep, in the frame of ``bare_nodes``."""
         nodes = bare_nodes(scene, view, 1)
-        surface = scene.surface(view.grid).window(int(view.row0), int(view.col0), view.rows, view.cols, nodes.frame)
-        start = surface.position_frame_m[row, col]
+        around = int(view.row0) - HALO, int(view.col0) - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO
+        surface = scene.surface(view.grid).window(*around, nodes.frame)  # includes the rim that casts
+        start = surface.position_frame_m[row + HALO, col + HALO]
         upwards = start - scene.world.up_origin(nodes.frame)
-        return CellRays(surface.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
+        return CellRays(surface.casting.sheet, start, upwards / np.linalg.norm(upwards, axis=1, keepdims=True))
 
     def see(self, direction: np.ndarray, least_sine: float = 0.0) -> np.ndarray:
-        """Which cells (n,) see a sun towards a unit vector (3,), if the sine of its altitude there is over the least."""
+        """Return which cells (n,) see a sun in the direction of a unit vector (3,), if the sine of its altitude exceeds
+        ``least_sine``.
+        """
         over = np.flatnonzero(self._upwards @ direction > least_sine)
         seen = np.zeros(len(self._start), bool)
         seen[over] = ~self._rays.blocked(self._start[over], direction) if len(over) else False
@@ -111,7 +114,7 @@ class CellRays:
 def ray_truth(
     scene: Scene, view: MapView, row: np.ndarray, col: np.ndarray, day: WindowSun, every_min: float = RAYS_MIN
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Hours, and minutes of the first and last sun after the window's start (NaN: never), of single cells (n,) by rays."""
+    """Compute hours, and minutes of the first and last sun after the window's start (NaN: never), of cells (n,) by rays."""
     rays, frame = CellRays.over(scene, view, row, col), bare_nodes(scene, view, 1).frame
     times = np.arange(every_min / 2, day.window.minutes, every_min)
     lit_min = np.zeros(len(row))
@@ -133,7 +136,7 @@ def _wrong(found_min: np.ndarray, true_min: np.ndarray) -> WrongMinutes:
 
 
 def rows_of(kind: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
-    """The figures of a raster, at each step."""
+    """Return the figures of a raster, at each step."""
     scene = build_scene(load_level(path))
     view = raster_view(scene).view.as_nodes()
     known = binary_erosion(bare_nodes(scene, view, 1).shown, iterations=OFF_HOLES)
@@ -152,7 +155,7 @@ def rows_of(kind: str, path: Path, day: date, steps: list[float | None], cells: 
 
 
 def mountain_raster(folder: Path, side: int) -> Path:
-    """A raster of fractal mountains."""
+    """Write a raster of fractal mountains."""
     path = folder / "mountains.tif"
     with rasterio.open(
         path, "w", driver="GTiff", width=side, height=side, count=1, dtype="float32", crs="EPSG:32632",
@@ -163,7 +166,7 @@ def mountain_raster(folder: Path, side: int) -> Path:
 
 
 def print_seconds(day: date, steps: list[float | None]) -> None:
-    """The seconds for 2048 x 2048 cells, the second time, when loops are compiled and heights read."""
+    """Print the seconds for 2048 x 2048 cells on the second run, when loops are compiled and heights cached."""
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(mountain_raster(Path(folder), 2048)))
         view, its_day = raster_view(scene).view.as_nodes(), _day(scene, day)
@@ -180,7 +183,7 @@ def _named(step_min: float | None) -> str:
 
 
 def table(rows: list[AccuracyRow]) -> str:
-    """The figures as a table."""
+    """Return the figures as a table."""
     lines = [
         "| surface | raster | step, min | hours: mean, 99 % | first sun | last sun |",
         "| --- | --- | --- | --- | --- | --- |",

@@ -113,7 +113,7 @@ class Plan(_Value):
         return any(step.algorithm != NO_SHADOWS for step in self.steps)
 
     def steps_under(self, light: str) -> list[Step]:
-        """Return the steps that fill a light's visibility, in order. ``none`` is no such step."""
+        """Return the steps that fill a light's visibility, in order. Steps of the algorithm ``none`` are left out."""
         return [step for step in self.steps if step.light == light and step.algorithm != NO_SHADOWS]
 
     @property

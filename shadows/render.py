@@ -33,7 +33,7 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import albedo_of, open_sky, shade, srgb_encoded
 from skugga.terrain.sky import sky
 
-RENDERER_VERSION = 3
+RENDERER_VERSION = 4
 """Version of the renderer. Increment it by hand with every change of any picture: older pyramids are then redrawn."""
 
 SHADING_PASS = "shading"

@@ -60,8 +60,8 @@ class CameraPath:
             outside = Problem(f"{eye[0]:.6g}, {eye[1]:.6g} lies outside of the terrain's data")
             raise InputError("eye", outside, "Keep the camera over the terrain's data")
         if not eye[2] > ground_m:
-            below = Problem(f"the camera goes under the ground, {eye[2] - ground_m:.3g} m above it")
-            raise InputError("eye", below, "Keep the camera more than 0 m above the ground")
+            below = Problem(f"the camera is {ground_m - eye[2]:.3g} m below the ground")
+            raise InputError("eye", below, "Keep the camera above the ground")
         target_point, _ = self.place.at_height((target[0], target[1]), target[2])
         return look_at(point, target_point, up, float(self._fov.at(time_s)[0]), rows, cols)
 

@@ -85,7 +85,7 @@ def _nan_to_none(facts: dict[str, Fact]) -> dict[str, Fact]:
 
 
 def _area_share(scene: Scene, seen_light_m: tuple[float, float, float] | None) -> float:
-    """Return the area that is visible at a time as a share of the level's area, both perpendicular to the sun's light."""
+    """Return the share of the level's area that one block or view shows, as seen from the sun."""
     if seen_light_m is None or scene.light is None:
         return 1.0
     ground_light = scene.light.from_earth(ground_points(scene.world, scene.elevation).point_earth_m)

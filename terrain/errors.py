@@ -10,8 +10,8 @@ SkuggaError
 ├── BusyError             the render queue is full
 └── RenderError           the work itself failed
     ├── GraphicsError     OpenGL is broken or left an error behind
-    │   └── NoOpenGLError   there is none: what needs it cannot be drawn, all else can
-    └── RenderTimeoutError  a render took longer than it may
+    │   └── NoOpenGLError   no OpenGL on this machine; pictures that need no OpenGL still work
+    └── RenderTimeoutError  a render exceeded its time limit
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ CONFLICT_REMEDY = "Use one of them"
 
 
 class Problem(str):
-    """What is wrong with an input, in words, where no given value is wrong by itself: ``unknown key``."""
+    """A description of an input error, used in place of a wrong value: ``unknown key``."""
 
 
 MISSING_VALUE = Problem("missing")
@@ -171,7 +171,7 @@ class RenderTimeoutError(RenderError):
 
 
 def printable(text: str) -> str:
-    """Return a text on one line that a terminal shows and does not obey.
+    """Return a text on one line, without characters that control a terminal.
 
     Control characters, changes of the writing direction and lone surrogates become escapes.
     """

@@ -125,7 +125,7 @@ def _draw_triangle(runs, counts, corners):
 
 @internal
 def _draw_edge(runs, counts, a, b):
-    """Add an edge's depth interval to each texel that it touches. Its run becomes open (`OPEN` layers or more)."""
+    """Add an edge's depth interval to each texel that it touches. Its run becomes open (`OPEN_LAYERS` layers or more)."""
     rows, cols = counts.shape
     v_min, v_max = min(a[1], b[1]), max(a[1], b[1])
     if v_max < -EDGE_MARGIN or v_min > rows + EDGE_MARGIN:

@@ -10,7 +10,7 @@ import numpy as np
 
 from skugga.shadows.maps.drawing import MapSettings
 from skugga.shadows.maps.point_lookup import DepthComparison, LitPoints, look_points_up, sun_map
-from skugga.shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
+from skugga.shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, MIN_DISC_TAPS, WIDEST_TEXELS, samples_before_edges
 from skugga.shadows.maps.windows import DepthMap
 from skugga.shadows.passes import PassRecord
 from skugga.terrain.compiled import compiled
@@ -88,7 +88,7 @@ def look_up(
                 place = np.stack(np.nonzero(buffer.valid)[::-1], axis=-1).astype(np.float32)
                 gathered = [_in_rows(array.reshape(rows * cols, -1)[chosen]) for array in arrays] + [_in_rows(place)]
                 arrays = [gathered[0], gathered[1], *(array.reshape(len(array), -1, 3) for array in gathered[2:-1]), gathered[-1]]
-            arrays.insert(2, _nodes(window.sheet))
+            arrays.insert(2, _nodes(window.casting.sheet))
             lit = _run_lookup(gl, program, arrays, target, depth_map, record)
             visibility.ravel()[chosen] = lit.ravel()[: chosen.size] if triangle_flags["placed"] else lit.ravel()[chosen]
             visibility[facets.blocked] = 0.0  # a map may miss occluders nearer than a texel
@@ -133,7 +133,7 @@ def _program(gl: Device, depth_map: DepthMap, settings: MapSettings, filter: int
     """
     from moderngl import Uniform
 
-    disc, taps = filter == "sun", DISC_TAPS if filter == "sun" else int(filter)
+    disc, taps = filter == "sun", MIN_DISC_TAPS if filter == "sun" else int(filter)
     by = _comparison(settings, taps)
     constants = triangle_flags | {
         "lamp": depth_map.uniforms["lamp"], "faces": len(depth_map.faces), "by_triangles": by.by_triangles,

@@ -277,7 +277,7 @@ def _filled(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray
 
 
 def across(normals: np.ndarray) -> np.ndarray:
-    """Return two perpendicular unit vectors (..., 3, 2) across unit vectors (..., 3).
+    """Return two unit vectors (..., 3, 2) perpendicular to each other and to unit vectors (..., 3).
 
     After Duff et al. 2017, "Building an orthonormal basis, revisited".
     """

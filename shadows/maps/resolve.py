@@ -90,7 +90,7 @@ def resolve_shadow_map(request: SettingsRequest) -> ResolvedSettings:
 
 
 def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[Reasoned]]:
-    """Return the same for any map outside of post-perspective space, without the reason for hard edges."""
+    """Do as ``resolve_shadow_map`` for maps outside of post-perspective space, without the reason for hard edges."""
     if request.light == SUN:
         return sun_map_settings(request.descriptor, request.shadows)
     lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)

@@ -28,7 +28,7 @@ BLOCK_TEXELS = 16
 WIDEST_TEXELS = 64
 """Upper bound of half the disc's width across the map. Penumbrae of farther casters do not get wider."""
 
-DISC_TAPS = 3
+MIN_DISC_TAPS = 3
 """Taps along a side for near casters. The disc is never narrower than two texels."""
 
 

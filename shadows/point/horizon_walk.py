@@ -92,7 +92,7 @@ class Lines(NamedTuple):
         Height of the eye, metres.
     near, far
         Range of distances to walk, in nodes.
-    stops_at_first
+    stops_at_first_occluder
         Whether a line ends at the first ground above its tangent.
     """
 
@@ -103,7 +103,7 @@ class Lines(NamedTuple):
     eye: float
     near: float
     far: float
-    stops_at_first: bool
+    stops_at_first_occluder: bool
 
 
 class Walks(NamedTuple):
@@ -130,7 +130,7 @@ class Walks(NamedTuple):
 def relief_horizon(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray) -> ReliefHorizon:
     """Return the horizon that a level's ground forms around a place, towards azimuths (n,)."""
     azimuth = np.asarray(azimuth_deg, np.float64)
-    walks = _walk_to_ground(scene, place, azimuth, np.full(len(azimuth), NO_GROUND), stops_at_first=False)
+    walks = _walk_to_ground(scene, place, azimuth, np.full(len(azimuth), NO_GROUND), stops_at_first_occluder=False)
     return ReliefHorizon(azimuth, walks.tangent, walks.distance, walks.height)
 
 
@@ -139,11 +139,11 @@ def is_ground_occluded(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray,
 
     This is faster than the horizon, since ground below a ray is skipped.
     """
-    walks = _walk_to_ground(scene, place, np.asarray(azimuth_deg, np.float64), np.array(tangent, np.float64), stops_at_first=True)
+    walks = _walk_to_ground(scene, place, np.asarray(azimuth_deg, np.float64), np.array(tangent, np.float64), stops_at_first_occluder=True)
     return np.isfinite(walks.distance)
 
 
-def _walk_to_ground(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray, stops_at_first: bool) -> Walks:
+def _walk_to_ground(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray, stops_at_first_occluder: bool) -> Walks:
     """Return the walks to the highest, or to the first, ground above tangents (n,), which are overwritten."""
     ground = paged_relief(scene)
     lines = sight_lines(ground, place, azimuth_deg, farthest_m(scene, place))
@@ -151,7 +151,7 @@ def _walk_to_ground(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, ta
     nothing = np.full(count, np.nan)
     walks = Walks(np.zeros(count, np.int64), np.zeros(count), np.zeros(count, np.bool_), tangent, nothing, nothing.copy())
     for level, (near, far) in enumerate(detail_ends(_farthest_nodes(lines))):
-        walks.piece[:], walks.share[:], walks.ended[:] = 0, 0.0, stops_at_first & np.isfinite(walks.distance)
+        walks.piece[:], walks.share[:], walks.ended[:] = 0, 0.0, stops_at_first_occluder & np.isfinite(walks.distance)
         pages = ground.level(level)
         while not walks.ended.all():
             needed_pages = np.zeros(pages.bound_m.shape, np.bool_)
@@ -160,7 +160,7 @@ def _walk_to_ground(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, ta
                     pages.bound_m, pages.first_row, pages.first_col, pages.number, pages.height_m, pages.high_m,
                     2.0**level, ground.blocks,
                 ),
-                Lines(lines.distance_m, lines.row, lines.col, lines.curvature, place.eye_m, near, far, stops_at_first),
+                Lines(lines.distance_m, lines.row, lines.col, lines.curvature, place.eye_m, near, far, stops_at_first_occluder),
                 walks, needed_pages,
             )  # fmt: skip
             ground.read(level, needed_pages)
@@ -268,7 +268,7 @@ def _follow(pages, lines, walks, needed_pages, n):
                     fr, fc = r0 + end * dr - top, c0 + end * dc - left
                     h = quad_height(nw, ne, sw, se, min(max(fr, 0.0), 1.0), min(max(fc, 0.0), 1.0))
                     best = _raise_horizon(walks, n, best, h, eye, kappa, s0 + end * ds, s0 + end * ds, ds * step)
-                if lines.stops_at_first and not np.isnan(walks.distance[n]):
+                if lines.stops_at_first_occluder and not np.isnan(walks.distance[n]):
                     walks.ended[n], walks.tangent[n] = True, best
                     return
             t = t_out

@@ -94,7 +94,7 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
     for detail in sorted({patch.level for patch in patches}):
         surface = scene.surface(view.grid.coarser(detail))
         detail_patches = [patch for patch in patches if patch.level == detail]
-        windows.setdefault(detail, []).extend(surface.height_window(*window) for window in patch_windows(detail_patches))
+        windows.setdefault(detail, []).extend(surface.height_window(*window, rim=True) for window in patch_windows(detail_patches))
     spans = {detail: _span(windows_of_detail) for detail, windows_of_detail in windows.items()}
     sizes = [rows * cols for _, _, rows, cols in spans.values()]
     counts = [

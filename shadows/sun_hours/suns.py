@@ -101,7 +101,7 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
     Raises ``UnsupportedError`` off the earth, and ``InputError`` for years outside of the sun's ephemeris.
     """
     if world.off_earth_reason is not None:
-        raise UnsupportedError("date", str(windows[0].date), f"{world.off_earth_reason}, so a date gives no sun")
+        raise UnsupportedError("date", str(windows[0].date), f"{world.off_earth_reason}, so a date does not define the sun")
     days = []
     for window in windows:
         times = np.append(np.arange(0.0, window.minutes, 1.0), window.minutes)

@@ -233,7 +233,7 @@ def grounds_of_block(
         surface = rays.scene.surface(rays.grid.coarser(detail))
         detail_patches = [patch for patch in patches if patch.level == detail]
         casting = [patch for patch in detail_patches if patch not in culled and not _lies_behind(rays, patch, block)]
-        windows = [surface.height_window(*window) for window in patch_windows(casting)]
+        windows = [surface.height_window(*window, rim=True) for window in patch_windows(casting)]
         if detail and not windows and not grounds:
             continue  # no levels to pass on
         grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft, detail_patches))

@@ -259,7 +259,7 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
     if isinstance(view, MapView):
         rays = rays_at(scene, view.grid, *view.centre_node)
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface, casters.patches, soft, casters.culled)
+        return rays, grounds_of_block(rays, buffer.surface.casting, casters.patches, soft, casters.culled)
     assert buffer.ground is not None
     rays, ground = ground_of_level(scene, buffer.ground, buffer.frame, soft)
     return rays, [ground]

@@ -27,7 +27,7 @@ MIN_PART_PX = 8
 COVERAGE_BLOCK_PX = 16
 """Side of the blocks in which coverage is compared."""
 
-MIN_SIGHT = 0.2
+MIN_COVERED_SHARE = 0.2
 """Minimum share of the cast shadow that a metric must cover. Below it, the metric does not test the picture."""
 
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)

@@ -133,7 +133,7 @@ def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
     if buffer.columns is not None:
         return has_gaps(np.isfinite(buffer.columns.window.height_m))
     if buffer.surface is not None:
-        return has_gaps(np.isfinite(buffer.surface.position_frame_m[..., 2]))
+        return has_gaps(np.isfinite(buffer.surface.casting.position_frame_m[..., 2]))
     return _has_gaps(ground_nodes(scene).height_m)
 
 

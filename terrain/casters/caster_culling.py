@@ -325,6 +325,7 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
         cols.start * PATCH_QUADS - halo,
         PATCH_QUADS + 1 + 2 * halo,
         len(cols) * PATCH_QUADS + 1 + 2 * halo,
+        rim=True,
     )
     out = np.empty((len(cols), PARTS * PARTS, 3 + len(RISE_DIRECTIONS)))
     refined = isinstance(window, RefinedWindow)

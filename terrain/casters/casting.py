@@ -22,7 +22,9 @@ Mesh = tuple[np.ndarray, np.ndarray]
 
 
 def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds: tuple[CasterKind, ...]) -> Iterator[Sheet]:
-    """Yield the sheets of ground that cast shadows on a map's block, in its frame. The block's own ground comes first."""
+    """Yield the sheets of ground that cast shadows on a map's block, in its frame. The block's own ground comes first. In maps
+    they include the rim beyond the raster.
+    """
     if "relief" not in kinds:
         return
     side = PATCH_QUADS + 1
@@ -35,10 +37,10 @@ def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds:
     if buffer.surface is None:
         return
     assert isinstance(buffer.view, MapView)
-    yield buffer.surface.sheet
+    yield buffer.surface.casting.sheet
     for patch in casters.casting:
         surface = scene.surface(buffer.view.grid.coarser(patch.level))
-        yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).sheet
+        yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).casting.sheet
 
 
 def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> list[Mesh]:

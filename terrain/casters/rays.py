@@ -135,7 +135,8 @@ class RayScene:
         directly and rays have several directions or a length.
         """
         if self._sheet_rays is not None and (np.ndim(direction) > 1 or length_m is not None):
-            raise ValueError(f"direction: walked sheets take (3,) and no lengths, not {np.shape(direction)}. Pass walked=False.")
+            problem = f"direction: with walked=True, give one direction (3,) and no length_m, not {np.shape(direction)}"
+            raise ValueError(f"{problem}. Or build the scene with walked=False.")
         start = (start_m - self._centre).astype(np.float32)
         along = np.ascontiguousarray(np.broadcast_to(np.asarray(direction, np.float32), start.shape))
         stopped = np.zeros(len(start), bool)

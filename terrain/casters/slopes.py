@@ -70,7 +70,7 @@ def slope_support(world: World, elevation: Elevation, grid: Grid) -> np.ndarray 
             rows, cols = min(BLOCK_PX, last_row - row) + 1, min(BLOCK_PX, last_col - col) + 1
             middle = float(grid.x(col + cols / 2)), float(grid.y(row + rows / 2))
             frame = world.frame_near(grid.crs, *middle)
-            normals = surface.window(row, col, rows, cols, frame).sheet.normals_frame
+            normals = surface.window(row, col, rows, cols, frame).casting.sheet.normals_frame
             _extend_support(normals.reshape(-1, 3), world.anchor_from_frame(frame)[0], directions, support)
             if _finite_or_none(support) is None and np.isposinf(support).any():
                 return None

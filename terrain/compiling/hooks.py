@@ -15,7 +15,7 @@ _is_grouping_enabled = True
 
 
 def declare_product(product: str) -> None:
-    """Declare a product (one of ``ahead.PRODUCTS``) that this process computes.
+    """Declare a product (one of ``ahead_of_time.PRODUCTS``) that this process computes.
 
     If a loop is missing, all missing loops of the declared products are compiled together.
     """

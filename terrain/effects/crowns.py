@@ -46,7 +46,7 @@ CELL_INDEX_BITS = 18
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return the verdict. It is no in maps, without trees in view, and without direct sunlight."""
+    """Return whether the effect is needed. It is not needed in maps, without trees in view, and without direct sunlight."""
     facts = descriptor.facts["crowns"]
     if descriptor.view_kind == "map":
         return Verdict(False, "a map shows crowns from above")

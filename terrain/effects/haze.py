@@ -76,7 +76,7 @@ SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return the verdict. It is no in maps, and if all visible surfaces are too near for visible haze."""
+    """Return whether the effect is needed. It is not needed in maps, and if all visible surfaces are too near for visible haze."""
     if descriptor.view_kind == "map":
         return Verdict(False, "a map view has no viewing distance, so no haze")
     facts = descriptor.facts["haze"]
@@ -234,7 +234,7 @@ def _max_invisible_share(darkest: tuple[float, ...], brightest: tuple[float, ...
 
 
 def _look_alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
-    """Return whether pairs of colours (n, 3) differ by at most one code for any position in the encoder's bins, bool (n,)."""
+    """Return whether pairs of colours (n, 3) differ by at most one code wherever the encoder's bins lie, bool (n,)."""
     lowest = np.maximum(dark - 0.5 * BIN, 0.5 * BIN)
     bins = np.ceil((bright - dark) / BIN)
     return (255.0 * (srgb_of_linear(lowest + bins * BIN) - srgb_of_linear(lowest)) < 1.0).all(axis=1)

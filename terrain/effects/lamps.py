@@ -30,7 +30,7 @@ NAMED_LAMPS = 8
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return the verdict. It is no without lamps, and if the light of none of them is visible."""
+    """Return whether the effect is needed. It is not needed without lamps, and if the light of none of them is visible."""
     if not descriptor.lamps:
         return Verdict(False, "the level has no lamps")
     reaching = [lamp.name for lamp in descriptor.lamps if lamp.reaches]

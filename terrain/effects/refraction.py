@@ -24,7 +24,7 @@ SRGB_SLOPE = 3.5
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return the verdict. It is no if the level sets the sun's apparent angles, and under a high sun."""
+    """Return whether the effect is needed. It is not needed if the level sets the sun's apparent angles, and under a high sun."""
     if descriptor.highest_sun_deg is None:
         return Verdict(False, "the level has no sun")
     facts = descriptor.facts["refraction"]

@@ -99,7 +99,7 @@ def _fading_noise(x_m, y_m, wave_m, pixel_m):
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return the verdict. It is no without snow, and without a visible surface for it."""
+    """Return whether the effect is needed. It is not needed without snow, and without a visible surface for it."""
     facts = descriptor.facts["snow"]
     if not facts["lies"]:
         return Verdict(False, "the level sets no snow")

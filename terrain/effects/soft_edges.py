@@ -18,7 +18,7 @@ SUN_DIAMETER_RAD = float(2.0 * np.radians(SUN_RADIUS_DEG))
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return the verdict. It is no if every penumbra is narrower than a pixel."""
+    """Return whether the effect is needed. It is not needed if every penumbra is narrower than a pixel."""
     if descriptor.sun_altitude_deg is None:
         return Verdict(False, "the level has no sun")
     wide_m = penumbra_m(descriptor)

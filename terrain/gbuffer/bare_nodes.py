@@ -31,7 +31,8 @@ class BareNodes:
     per_pixel
         Nodes along the side of a displayed pixel, which shows their mean.
     surface
-        The nodes' heights, with ``HALO`` more nodes on each side.
+        The nodes' heights, with ``HALO`` more nodes on each side, as ground that casts: with the rim beyond the raster, which is not
+        valid.
     position_frame_m
         float64 (2, n, 3), points that bound the ground: some of the nodes, at the lowest and at the highest of all heights.
     valid
@@ -47,7 +48,7 @@ class BareNodes:
 
     @property
     def height_m(self) -> np.ndarray:
-        """Heights (rows, cols) float32, NaN without ground, metres."""
+        """Heights (rows, cols) float32, NaN without ground that casts, metres."""
         return self.surface.height_m[HALO:-HALO, HALO:-HALO]
 
     @property
@@ -69,7 +70,7 @@ def bare_nodes(scene: Scene, view: MapView, per_pixel: int) -> BareNodes:
 def _bare_nodes(world: World, elevation: Elevation, view: MapView, per_pixel: int) -> BareNodes:
     frame, surface = world.frame_near(view.grid.crs, *view.centre), Surface(world, elevation, view.grid)
     row0, col0 = int(view.row0), int(view.col0)
-    heights = surface.height_window(row0 - HALO, col0 - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO)
+    heights = surface.height_window(row0 - HALO, col0 - HALO, view.rows + 2 * HALO, view.cols + 2 * HALO, rim=True)
     row, col = (
         np.unique(np.rint(np.linspace(first, first + count - 1, BOUNDING_NODES)).astype(np.int64))
         for first, count in ((row0, view.rows), (col0, view.cols))

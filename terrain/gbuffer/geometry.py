@@ -66,7 +66,8 @@ class GeometryBuffer:
         int32 (rows, cols, 3), for a map's ground only: row and column of the quad in ``surface``, then 0 for the triangle on the
         quad's north side or 1 for the other. The first triangle, where several share the point.
     surface
-        Maps: the nodes that the buffer was made from. They cast shadows as they are shown. ``None`` in perspective and for columns.
+        Maps: the nodes that the buffer was made from. Shadows are cast by them and by the rim beyond the raster (``casting``).
+        ``None`` in perspective and for columns.
     columns
         Maps of upright columns: the columns, and the column of each pixel. They cast shadows as they are shown. Pixels show
         their tops: normals point up, and creases are 0.

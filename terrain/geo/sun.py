@@ -64,7 +64,7 @@ def sun_of(spec: SunSpec, world: World) -> Sun:
         assert spec.azimuth is not None and spec.altitude is not None
         azimuth, altitude = spec.azimuth % 360.0, spec.altitude
     elif world.off_earth_reason is not None:
-        no_sun = Problem(f"'{spec.time.isoformat()}' has no sun here, since {world.off_earth_reason}")
+        no_sun = Problem(f"'{spec.time.isoformat()}' does not define the sun here, since {world.off_earth_reason}")
         raise InputError("time", no_sun, "Give azimuth and altitude")
     else:
         azimuth, altitude, lift = apparent_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)

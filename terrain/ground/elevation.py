@@ -8,6 +8,9 @@ less than one such cell is lost.
 Holes (nodata) are invalid in the image but are filled for casting shadows. The fill is smooth from their rims, so no wall and no
 pit arises. Cells farther than ``FILL_CELLS`` from any data stay empty and cast nothing.
 
+A raster's cells reach half a cell beyond their centres. So ground that casts continues for one node beyond a grid's outermost nodes
+on the raster, at the height of the raster's border (``heights_with_rim``). Visible ground ends at the outermost nodes.
+
 Standing water is part of the surface: no returned height lies below it. Shores run where the bilinear ground rises out of the
 water, not along cells.
 """
@@ -291,26 +294,75 @@ class Elevation:
         Heights are bilinear between cells of ``level`` (2**level raster cells a side), or those of the cells themselves if
         ``surface`` is blocks. NaN means no data nearby.
         """
-        from skugga.terrain.ground.cells import cell_heights  # here: who asks for no height needs no compiler
-        from skugga.terrain.ground.elevation_loops import bilinear, to_level
+        row, col, ends = self._on_level(level, row, col)
+        return self._heights_on_level(level, row, col, ends)
+
+    def heights_with_rim(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return heights, valid mask and rim mask of the inner nodes of a grid (rows + 2, cols + 2).
+
+        Rim nodes lie off the raster, next to a node on it along a row, a column or a diagonal. They have the height of the raster's
+        border and are not valid. Casters must end with the cells and not with their centres: a ray that passes just beside the
+        outermost centre is still above a cell.
+        """
+        on_row, on_col, ends = self._on_level(level, row, col)
+        if not np.isfinite(ends).all():
+            inner = row.shape[0] - 2, row.shape[1] - 2
+            return np.full(inner, np.nan, np.float32), np.zeros(inner, bool), np.zeros(inner, bool)
+        on_raster = np.isfinite(on_row)
+        place = np.nonzero(_dilated(on_raster) & ~on_raster)
+        rim_row, rim_col = self._clamped(level, row[place], col[place])
+        on_row[place], on_col[place] = rim_row, rim_col
+        if np.isfinite(rim_row).any():
+            rim_ends = np.array([[np.nanmin(axis), np.nanmax(axis)] for axis in (rim_row, rim_col)])
+            ends = np.stack([np.minimum(ends, rim_ends)[:, 0], np.maximum(ends, rim_ends)[:, 1]], axis=1)
+        height, valid = self._heights_on_level(level, on_row, on_col, ends)
+        valid &= on_raster
+        rim = np.isfinite(height) & ~on_raster
+        return height[1:-1, 1:-1].copy(), valid[1:-1, 1:-1].copy(), rim[1:-1, 1:-1].copy()
+
+    def holds(self, level: int, row: np.ndarray, col: np.ndarray) -> bool:
+        """Return whether all (fractional) cells of level 0 lie on the cells of a level."""
+        rows, cols = (count * 2**level for count in self._level_shape(level))
+        inside = (row >= -0.5) & (row <= rows - 0.5) & np.isfinite(col)
+        return bool((inside if self._wrap else inside & (col >= -0.5) & (col <= cols - 0.5)).all())
+
+    def _on_level(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return rows and columns on a level for those of level 0, NaN off it, and the minimum and maximum of both (2, 2)."""
+        from skugga.terrain.ground.elevation_loops import to_level  # here: who asks for no height needs no compiler
 
         rows, cols = self._level_shape(level)
         row, col = (axis.copy() if 0 in axis.strides else axis for axis in (row, col))  # what is broadcast numba does not take
         if self._wrap:
-            row, col, ends = to_level(row, self._columns_of_level(level, col), 2.0**level, rows, np.inf)
-        else:
-            row, col, ends = to_level(row, col, 2.0**level, rows, np.float64(cols))
+            return to_level(row, self._columns_of_level(level, col), 2.0**level, rows, np.inf)
+        return to_level(row, col, 2.0**level, rows, np.float64(cols))
+
+    def _clamped(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nearest rows and columns between a level's outermost centres for those (n,) of level 0; NaN beyond a pole."""
+        rows, cols = self._level_shape(level)
+        on_row = np.clip((row + 0.5) / 2**level - 0.5, 0.0, rows - 1.0)
+        on_col = self._columns_of_level(level, col) if self._wrap else np.clip((col + 0.5) / 2**level - 0.5, 0.0, cols - 1.0)
+        is_position = np.isfinite(row) & np.isfinite(col)
+        if self.crs.is_geographic:
+            is_position &= np.abs(self.xy(row, col)[1]) <= 90.0
+        return np.where(is_position, on_row, np.nan), np.where(is_position, on_col, np.nan)
+
+    def _heights_on_level(self, level: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``heights_at`` for rows and columns on a level whose minima and maxima are known."""
+        from skugga.terrain.ground.cells import cell_heights
+        from skugga.terrain.ground.elevation_loops import bilinear
+
         if not np.isfinite(ends).all():
             return np.full(row.shape, np.nan, np.float32), np.zeros(row.shape, bool)
+        rows, cols = self._level_shape(level)
         (row0, row1), (col0, col1) = ((int(np.floor(low)), int(np.floor(high)) + 2) for low, high in ends)
         row0, row1 = max(row0, 0), min(row1, rows)
         if not self._wrap:
             col0, col1 = max(col0, 0), min(col1, cols)
-        values, cell_valid = self._filled(level, row0, row1, col0, col1)
+        values, valid = self._filled(level, row0, row1, col0, col1)
         if self.surface == "blocks":
-            height, valid = cell_heights(values, cell_valid, row - row0, col - col0)
+            height, valid = cell_heights(values, valid, row - row0, col - col0)
         else:
-            height, valid = bilinear(values, cell_valid, bool(cell_valid.all()), row, col, np.float64(row0), np.float64(col0))
+            height, valid = bilinear(values, valid, bool(valid.all()), row, col, np.float64(row0), np.float64(col0))
         return self._above_water(height), valid
 
     def _above_water(self, height_m: np.ndarray) -> np.ndarray:
@@ -422,6 +474,17 @@ def plausible_m(crs: CRS) -> tuple[float, float]:
     if crs.is_engineering:
         return -1e6, 1e6
     return PLAUSIBLE_M if is_on_earth(crs) else PLAUSIBLE_ELSEWHERE_M
+
+
+def _dilated(mask: np.ndarray) -> np.ndarray:
+    """Return a mask (rows, cols) dilated by one cell in all eight directions."""
+    tall = mask.copy()
+    tall[1:] |= mask[:-1]
+    tall[:-1] |= mask[1:]
+    grown = tall.copy()
+    grown[:, 1:] |= tall[:, :-1]
+    grown[:, :-1] |= tall[:, 1:]
+    return grown
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,20 +21,27 @@ RIM_NODES = 8
 Heights = tuple[np.ndarray, np.ndarray]
 """Heights float32, metres, NaN where the ground is missing; and the valid mask, bool."""
 
-_tiles: Cache[Heights | None] = Cache("skugga.terrain.ground.height_tiles", "scene", 192 * MIB)
+HeightsAndRim = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+"""The same with the rim that only casts, and the mask of its nodes; ``None`` without any (``Elevation.heights_with_rim``)."""
+
+_tiles: Cache[HeightsAndRim | None] = Cache("skugga.terrain.ground.height_tiles", "scene", 192 * MIB)
 
 
 def tiled_heights(
     world: World,
     elevation: Elevation,
     grid: Grid,
-    read: Callable[[int, int, int, int], Heights],
+    read: Callable[[int, int, int, int], HeightsAndRim],
     row0: int,
     col0: int,
     rows: int,
     cols: int,
+    rim: bool,
 ) -> Heights:
-    """Return the result of ``read(row0, col0, rows, cols)`` for a window of a grid's nodes, assembled from cached tiles."""
+    """Return the result of ``read(row0, col0, rows, cols)`` for a window of a grid's nodes, assembled from cached tiles.
+
+    ``rim`` keeps the nodes beyond the raster that cast; without it they are NaN.
+    """
     owner = grid_key(world, elevation, grid)
     height, valid = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
     for row, top, bottom in _tile_ranges(row0, rows):
@@ -51,6 +58,8 @@ def tiled_heights(
             else:
                 source = slice(top - first_row, bottom - first_row), slice(left - first_col, right - first_col)
                 height[target], valid[target] = tile[0][source], tile[1][source]
+                if not rim and tile[2] is not None:
+                    height[target][tile[2][source]] = np.nan
     return height, valid
 
 

@@ -102,7 +102,7 @@ def _linear_colors(data: np.ndarray, valid: np.ndarray, source: str) -> np.ndarr
         top = top or 1.0
         coded = np.clip(data.astype(np.float32) / top, 0.0, 1.0)
     else:
-        raise SourceError(source, f"its bands are of type {data.dtype}", "Give bands of 8 or 16 bits")
+        raise SourceError(source, f"its bands are of type {data.dtype}", "Give bands of integers")
     return np.moveaxis(linear_of_srgb(coded), 0, -1).astype(np.float32)
 
 

@@ -125,16 +125,16 @@ def read_overview(ground: LevelReader, rows: int, cols: int) -> Overview:
         ground.read(level, 0, shape[0], 0, shape[1])  # single cells, to find undeclared sentinels
         ground.settle()
         fine_level = max(_finest_level(rows, cols, level, MAX_FINE_CELLS), min(FINE_LEVEL, level))
-        fine, lowest_m = _estimated_high(ground, fine_level, _finest_level(rows, cols, fine_level, EXACT_HIGH_CELLS), level)
+        fine, lowest_m = _estimated_maxima(ground, fine_level, _finest_level(rows, cols, fine_level, EXACT_HIGH_CELLS), level)
         high = _block_maxima(fine, 2 ** (level - fine_level))
         means = ground.read(level, 0, shape[0], 0, shape[1])
         return Overview(means, high, level, lowest_m, *((fine, fine_level) if fine_level < level else ()))
-    high, lowest_m = _exact_high(ground, level, rows, cols)
+    high, lowest_m = _exact_maxima(ground, level, rows, cols)
     ground.settle()
     return Overview(ground.read(level, 0, shape[0], 0, shape[1]), high, level, lowest_m)
 
 
-def _exact_high(ground: LevelReader, level: int, rows: int, cols: int) -> tuple[np.ndarray, float]:
+def _exact_maxima(ground: LevelReader, level: int, rows: int, cols: int) -> tuple[np.ndarray, float]:
     """Return the maxima (m, n) of a level's cells and the minimum of all, from the raster's own cells."""
     (m, n), factor = ground.level_shape(level), 2**level
     high, lowest_m = np.full((m, n), np.nan, np.float32), np.nan
@@ -152,7 +152,7 @@ def _finest_level(rows: int, cols: int, level: int, most: int) -> int:
     return next((finer for finer in range(level) if (rows >> finer) * (cols >> finer) <= most), level)
 
 
-def _estimated_high(ground: LevelReader, fine_level: int, finer: int, level: int) -> tuple[np.ndarray, float]:
+def _estimated_maxima(ground: LevelReader, fine_level: int, finer: int, level: int) -> tuple[np.ndarray, float]:
     """Estimate the maxima of cells of the level ``fine_level``, and the minimum of all ground.
 
     The cells are those within whole cells of the coarser ``level``. Extremes come from the means of a ``finer`` level: the ground

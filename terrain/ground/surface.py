@@ -7,8 +7,9 @@ multiples counted from the grid's origin, never from a window: a node has the sa
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from skugga.terrain.compiled import compiled, internal, run_in_chunks
 from skugga.terrain.geo.grid import Grid, MapView, step_at_anchor_m
 from skugga.terrain.geo.world import LocalFrame, World, is_longitude_latitude, transformer
 from skugga.terrain.ground.elevation import Elevation
-from skugga.terrain.ground.height_tiles import tiled_heights
+from skugga.terrain.ground.height_tiles import HeightsAndRim, tiled_heights
 from skugga.terrain.ground.sheet import Sheet, sheet_of
 
 EXACT_SPACING_M = 16000.0
@@ -36,9 +37,10 @@ class HeightWindow:
     row0, col0
         First row and column.
     height_m
-        float32 (rows, cols), metres; holes are filled, NaN where no surface can be (off the data).
+        float32 (rows, cols), metres; holes are filled, NaN where no surface can be (off the data). With the rim, ground continues
+        for one node beyond the raster.
     valid
-        Valid mask (rows, cols): whether the image shows a surface. Filled holes are not valid.
+        Valid mask (rows, cols): whether the image shows a surface. Filled holes and the rim are not valid.
     """
 
     row0: int
@@ -96,15 +98,55 @@ class SurfaceWindow(HeightWindow):
         float64 (rows, cols, 3), metres; NaN where the height is missing.
     centre_frame_m
         (3,): the point that up vectors point away from: the earth's centre, or in a flat world one infinitely far below.
+    rim
+        The nodes beyond the raster that cast and are not visible; ``None`` without any.
+    falls
+        The diagonal cuts of the quads (``Sheet``); ``None``: those that the heights give.
     """
 
     position_frame_m: np.ndarray
     centre_frame_m: np.ndarray
+    rim: RimNodes | None = None
+    falls: np.ndarray | None = None
 
     @cached_property
     def sheet(self) -> Sheet:
         """The nodes as a grid mesh."""
-        return sheet_of(self.position_frame_m, self.height_m)
+        if self.falls is None:
+            return sheet_of(self.position_frame_m, self.height_m)
+        return Sheet(self.position_frame_m, self.falls)
+
+    @cached_property
+    def casting(self) -> SurfaceWindow:
+        """The ground that casts: this window with its rim. Visible quads keep their cuts, so that no triangle shades its own points."""
+        if self.rim is None:
+            return self
+        height, position = self.height_m.copy(), self.position_frame_m.copy()
+        at = self.rim.row, self.rim.col
+        height[at], position[at] = self.rim.height_m, self.rim.position_frame_m
+        has_height = np.isfinite(self.height_m).astype(np.uint8)
+        is_visible = has_height[:-1, :-1] + has_height[:-1, 1:] + has_height[1:, :-1] + has_height[1:, 1:] >= 3
+        falls = np.where(is_visible, self.sheet.falls, sheet_of(position, height).falls)
+        return replace(self, height_m=height, position_frame_m=position, rim=None, falls=falls)
+
+
+class RimNodes(NamedTuple):
+    """Nodes (n,) of a window beyond the raster, which cast.
+
+    Attributes
+    ----------
+    row, col
+        (n,): their place in the window.
+    height_m
+        float32 (n,), metres.
+    position_frame_m
+        float64 (n, 3), metres.
+    """
+
+    row: np.ndarray
+    col: np.ndarray
+    height_m: np.ndarray
+    position_frame_m: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,12 +186,17 @@ class Surface:
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> SurfaceWindow:
         """Return the nodes of a window, in a frame."""
-        height, valid = self.heights(row0, col0, rows, cols)
+        height, valid, is_rim = self._heights_and_rim(row0, col0, rows, cols)
         exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         position = _positions(exact, exact_rows, exact_cols, self.stride, row0, col0, height)
         valid &= np.isfinite(position[..., 2])
         centre = np.array([0.0, 0.0, -np.inf]) if self.world.flat else frame.points_from_earth(np.zeros(3))
-        return SurfaceWindow(row0, col0, height, valid, position, centre)
+        if is_rim is None:
+            return SurfaceWindow(row0, col0, height, valid, position, centre)
+        row, col = np.nonzero(is_rim)
+        rim = RimNodes(row, col, height[row, col], position[row, col])
+        height[row, col], position[row, col] = np.nan, np.nan
+        return SurfaceWindow(row0, col0, height, valid, position, centre, rim)
 
     def exact_verticals(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> tuple[np.ndarray, int, int]:
         """Return points of height 0 and unit up vectors (m, n, 6), in a frame, of the exact nodes that a window needs.
@@ -160,15 +207,18 @@ class Surface:
         point, up = self.world.ground(self.grid.crs, x, y)
         return np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1), first_row, first_col
 
-    def height_window(self, row0: int, col0: int, rows: int, cols: int) -> NodeHeights:
-        """Return the nodes of a window without their points, from cached tiles."""
+    def height_window(self, row0: int, col0: int, rows: int, cols: int, rim: bool = False) -> NodeHeights:
+        """Return the nodes of a window without their points, from cached tiles.
+
+        ``rim`` includes the nodes beyond the raster that cast; else the window holds visible ground.
+        """
         if self.grid.refines:
             coarser = Surface(self.world, self.elevation, self.grid.coarser(1))
-            window = coarser.height_window(*_coarser_window(row0, col0, rows, cols))
+            window = coarser.height_window(*_coarser_window(row0, col0, rows, cols), rim)
             if isinstance(window, RefinedWindow):
                 window = HeightWindow(window.row0, window.col0, window.height_m, window.valid)
             return RefinedWindow(row0, col0, (rows, cols), window)
-        height, valid = tiled_heights(self.world, self.elevation, self.grid, self.heights, row0, col0, rows, cols)
+        height, valid = tiled_heights(self.world, self.elevation, self.grid, self._heights_and_rim, row0, col0, rows, cols, rim)
         valid &= np.isfinite(height)
         return HeightWindow(row0, col0, height, valid)
 
@@ -213,20 +263,39 @@ class Surface:
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return heights in metres (float32) of a window's nodes, and the valid mask."""
+        height, valid, is_rim = self._heights_and_rim(row0, col0, rows, cols)
+        if is_rim is not None:
+            height[is_rim] = np.nan
+        return height, valid
+
+    def _heights_and_rim(self, row0: int, col0: int, rows: int, cols: int) -> HeightsAndRim:
+        """Return the same with the rim of nodes that only cast, and the mask of these; ``None`` without any."""
         if self.grid.refines:
             coarser, window = Surface(self.world, self.elevation, self.grid.coarser(1)), _coarser_window(row0, col0, rows, cols)
-            height, valid = coarser.heights(*window)
-            return _refined(height, row0 % 2, col0 % 2, rows, cols), _refined_valid(valid, row0 % 2, col0 % 2, rows, cols)
-        stride = self.stride
-        exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
+            height, valid, is_rim = coarser._heights_and_rim(*window)
+            refined = row0 % 2, col0 % 2, rows, cols
+            if is_rim is None:
+                return _refined(height, *refined), _refined_valid(valid, *refined), None
+            with_rim = _refined(height, *refined)
+            height[is_rim] = np.nan
+            visible = _refined(height, *refined)
+            is_refined_rim = np.isfinite(with_rim) & ~np.isfinite(visible)
+            return np.where(is_refined_rim, with_rim, visible), _refined_valid(valid, *refined), is_refined_rim
+        stride, around = self.stride, (row0 - 1, col0 - 1, rows + 2, cols + 2)
+        exact_rows, exact_cols, x, y = self.exact_nodes(*around, stride)
         cell = self.cells_of(x, y)
         if cell is None:  # the raster's longitudes break inside: no smooth mapping to interpolate
             stride = 1
-            exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
+            exact_rows, exact_cols, x, y = self.exact_nodes(*around, stride)
             cell = self.cells_of(x, y, everywhere=True)
             assert cell is not None
-        located = interpolated(np.stack(cell, axis=-1), exact_rows, exact_cols, stride, row0, col0, rows, cols)
-        return self.elevation.heights_at(self.level, located[0], located[1])
+        exact = np.stack(cell, axis=-1)
+        if self.elevation.surface == "blocks" or self.elevation.holds(self.level, *cell):
+            located = interpolated(exact, exact_rows, exact_cols, stride, row0, col0, rows, cols)
+            return *self.elevation.heights_at(self.level, located[0], located[1]), None
+        located = interpolated(exact, exact_rows, exact_cols, stride, *around)
+        height, valid, is_rim = self.elevation.heights_with_rim(self.level, located[0], located[1])
+        return height, valid, is_rim if is_rim.any() else None
 
     def exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
         """Return the first exact row and column (in strides), and x and y of the exact nodes that a window needs."""

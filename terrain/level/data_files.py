@@ -51,7 +51,7 @@ def check_geodata(source: str) -> None:
         if is_remote(each):
             continue
         if each.startswith("<"):
-            raise SourceError(source, "a virtual file that contains another one as text", "Use a virtual file that names its parts")
+            raise SourceError(source, "it contains another virtual file as text", "Use a virtual file that names its parts")
         kind = special_file_kind(each)
         if kind not in (None, FOLDER):
             raise SourceError(source, f"{kind}, not a regular file" if each == source else f"refers to {each}, {kind}", _ALLOWED)
@@ -59,7 +59,7 @@ def check_geodata(source: str) -> None:
         for element in () if root is None else root.iter():
             if element.get("subClass") == "VRTRawRasterBand":
                 raise SourceError(
-                    source, f"a band of raw bytes in {Path(each).name}", "Use a virtual raster whose parts are rasters"
+                    source, f"{Path(each).name} has a band that reads raw bytes", "Use a virtual raster whose parts are rasters"
                 )
             if element.tag == "PixelFunctionLanguage" and (element.text or "").strip().lower() == "python":
-                raise SourceError(source, f"a band with Python code in {Path(each).name}", "Use a virtual raster without code")
+                raise SourceError(source, f"{Path(each).name} has a band with Python code", "Use a virtual raster without code")

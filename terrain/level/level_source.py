@@ -102,5 +102,5 @@ class LevelSource(BaseModel):
 
     @property
     def digest(self) -> str:
-        """Digest of the options. It does not cover the contents of the files, whose changes their modification times show."""
+        """Digest of the options. It does not cover file contents; modification times detect their changes."""
         return hashlib.sha256(repr(self.level_keys).encode()).hexdigest()[:16]

@@ -125,7 +125,7 @@ def _check_counts(source: str) -> None:
     for number, each in enumerate(accessors):
         count = each.get("count")
         if not isinstance(count, int) or not 0 <= count <= 3 * MAX_MODEL_TRIANGLES:
-            raise SourceError(source, f"accessor {number} of {count} numbers", f"Use 0 to {3 * MAX_MODEL_TRIANGLES} numbers")
+            raise SourceError(source, f"accessor {number} has {count} elements", f"Use 0 to {3 * MAX_MODEL_TRIANGLES} elements")
 
 
 def _too_many_triangles(source: str, count: int) -> SourceError:

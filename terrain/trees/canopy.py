@@ -27,7 +27,7 @@ from skugga.terrain.ground.vertical import vertical_axis
 from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
 from skugga.terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
 
-COARSE_CELL_M = 3.0
+MAX_DETECTION_CELL_M = 3.0
 """Largest cell in which single trees can be detected."""
 
 CROWN_CELLS = 1.3
@@ -381,7 +381,7 @@ def _detection_limit_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarra
     """Return the minimum height of trees that can be detected in cells of a size: 0 for all trees, infinite for none."""
     heights = np.geomspace(min_height_m, MAX_HEIGHT_M, 1000)
     hidden = crown_of(heights) < CROWN_CELLS * cell_m
-    if cell_m > COARSE_CELL_M or hidden.all():
+    if cell_m > MAX_DETECTION_CELL_M or hidden.all():
         return np.inf
     return float(heights[hidden][-1]) if hidden.any() else 0.0
 

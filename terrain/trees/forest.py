@@ -25,7 +25,7 @@ from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.parts import ForestSpec, Species
 from skugga.terrain.level.rasters import is_raster
 from skugga.terrain.trees.canopy import (
-    COARSE_CELL_M,
+    MAX_DETECTION_CELL_M,
     MAX_CROWN_RATIO,
     PACKING,
     TREETOP_WINDOW_M,
@@ -375,7 +375,7 @@ def _default_min_height_m(cells: CanopyCells, window: CellWindow, cell_m: float,
     Shrubs count if the canopy is mostly shrubs, its cells are fine enough, and there are at most ``MAX_SHRUBS``.
     """
     shrubs = cells.low * (window.row1 - window.row0) * (window.col1 - window.col0) * cell_m**2 / shrub_m2
-    return SHRUB_HEIGHT_M if cells.is_low and cell_m <= COARSE_CELL_M and shrubs <= MAX_SHRUBS else TREE_HEIGHT_M
+    return SHRUB_HEIGHT_M if cells.is_low and cell_m <= MAX_DETECTION_CELL_M and shrubs <= MAX_SHRUBS else TREE_HEIGHT_M
 
 
 def _plant_stand(stems: Stems, species: Species, where: str, site: Site) -> Trees:

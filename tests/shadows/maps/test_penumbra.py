@@ -1,4 +1,4 @@
-"""The penumbra of the sun's disc: near rays, as wide as theory says, and nothing else."""
+"""Penumbra of the sun's disc in shadow maps: close to rays, and as wide as theory."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ALTITUDE = 50.0
 
 
 def soft(scene: Scene, view: View) -> np.ndarray:
-    """Visibility of the sun's disc by rays, attached shadow included."""
+    """Return the visibility of the sun's disc by rays, attached shadow included."""
     buffer = geometry_buffer(scene, view)
     real = soft_truth(buffer, scene, find_casters(scene, buffer))
     return np.where(attached(buffer, scene) & buffer.valid, 0.0, real)
@@ -43,10 +43,10 @@ def difference(seen: np.ndarray, real: np.ndarray) -> float:
 
 
 def profile(folder, height_m: float, width_m: float, **overrides) -> tuple[np.ndarray, np.ndarray]:
-    """Visibility of ground along a line of ``width_m`` across the straight edge of a high plate's shadow, found and in theory.
+    """Return the visibility of ground along a line of ``width_m`` across the straight edge of a high plate's shadow, and theory.
 
-    The sun stands in the south, the edge runs north. Of a disc of radius 1 the part beyond a chord at u is
-    (acos u - u sqrt(1 - u^2)) / pi.
+    The sun stands in the south, and the edge runs north. The part of a disc of radius 1 beyond a chord at u is (acos u - u sqrt(1 -
+    u^2)) / pi.
     """
     scene = level_of(folder, [box((30, 10, 0.05), height_m, (-15, -40))], 180, ALTITUDE)
     north = -40 + height_m / np.tan(np.radians(ALTITUDE))
@@ -62,8 +62,8 @@ def profile(folder, height_m: float, width_m: float, **overrides) -> tuple[np.nd
     ("height_m", "radii_texels"),
     quick(product([8.0, 30.0, 70.0], [2.5, 20.0, 50.0]), (8.0, 50.0), (30.0, 20.0), (70.0, 2.5)),
 )
-def test_a_straight_edge_is_as_soft_as_the_disc(gl, tmp_path, height_m, radii_texels):
-    """Whatever its distance and the map's texels; the caster lies outside of what is seen, far before it."""
+def test_penumbra_of_a_straight_edge_matches_the_disc(gl, tmp_path, height_m, radii_texels):
+    """This holds for all distances and texels. The caster lies outside the view, far towards the sun."""
     width_m = 4.0 * height_m / np.sin(np.radians(ALTITUDE)) * DISC_TANGENT
     seen, theory = profile(tmp_path, height_m, width_m, map_size=int(4 * radii_texels + 64))
     assert theory[0] == 0.0 and theory[-1] == 1.0
@@ -75,7 +75,7 @@ def test_a_straight_edge_is_as_soft_as_the_disc(gl, tmp_path, height_m, radii_te
 
 
 @pytest.mark.long
-def test_the_penumbra_widens_with_the_distance(gl, tmp_path):
+def test_penumbra_widens_with_distance(gl, tmp_path):
     widths = []
     for height_m in (10.0, 20.0, 40.0):
         seen, _ = profile(tmp_path, height_m, 1.0, map_size=256)
@@ -83,15 +83,15 @@ def test_the_penumbra_widens_with_the_distance(gl, tmp_path):
     np.testing.assert_allclose(np.array(widths) / widths[0], [1.0, 2.0, 4.0], rtol=0.15)
 
 
-def test_a_penumbra_too_wide_for_the_map_is_narrower(gl, tmp_path):
-    """Beyond ``WIDEST_TEXELS`` the edge stays where it is, and what is wholly lit or dark stays so."""
+def test_penumbra_too_wide_for_the_map_is_narrowed(gl, tmp_path):
+    """Beyond ``WIDEST_TEXELS`` the edge keeps its position, and points that are wholly lit or dark stay so."""
     seen, theory = profile(tmp_path, 70.0, 2.0, map_size=2048)
     assert np.abs(seen - theory)[:, (theory == 0.0) | (theory == 1.0)].max() == 0.0
     half = seen[10, theory.size // 2 - 2 : theory.size // 2 + 2]
     assert 2.0 / 2048 * WIDEST_TEXELS < 0.4 and abs(half.mean() - 0.5) < 0.1
 
 
-def test_a_penumbra_narrower_than_texels_is_as_wide_as_three_taps(gl, tmp_path):
+def test_penumbra_narrower_than_texels_is_three_taps_wide(gl, tmp_path):
     scene = level_of(tmp_path, [box((30, 10, 0.05), 3.0, (-15, -40))], 180, ALTITUDE)
     view = scene.view(bounds=(-4, -34, 4, -33.5), size=(320, 20))
     widths = []
@@ -103,23 +103,24 @@ def test_a_penumbra_narrower_than_texels_is_as_wide_as_three_taps(gl, tmp_path):
 
 @pytest.mark.parametrize("bias", ["receiver_plane", "normal_offset"])
 @pytest.mark.parametrize(("slope", "towards"), [(0, 0), (45, 203), (75, 290)])
-def test_planes_do_not_shade_themselves(gl, write_raster, make_scene, slope, towards, bias):
+def test_penumbra_filter_causes_no_self_shadowing(gl, write_raster, make_scene, slope, towards, bias):
     raster = plane(write_raster, slope, towards)
     for altitude, aside in ((60.0, 20.0), (25.0, -60.0), (3.0, 80.0)):
         assert shaded(make_scene, raster, towards + aside, altitude, filter="sun", bias=bias) == 0.0, (altitude, aside)
 
 
-def test_a_plane_under_half_the_sun_is_half_lit(gl, write_raster, make_scene):
-    """The sun's middle is 0.06 degrees above the plane: the chord at 0.2 of the radius leaves 0.62 of it."""
-    scene = make_scene(plane(write_raster, 30.0, 180.0), 0.0, 30.0 + 0.053)
+def test_plane_under_part_of_the_sun_is_partly_lit(gl, write_raster, make_scene):
+    """The sun's centre is 0.06 degrees above the plane: the chord at 0.2 of the radius leaves 0.62 of the disc."""
+    altitude = np.degrees(np.arcsin(np.sin(np.radians(0.053)) / np.cos(np.radians(30.0))))
+    scene = make_scene(plane(write_raster, 30.0, 90.0), 0.0, altitude)
     view = scene.view(bounds=(-300, -300, 300, 300), size=(64, 64))
     seen, _ = visibility(scene, view, filter="sun", map_size=256)
     np.testing.assert_allclose(seen, soft(scene, view), atol=0.03)
     assert abs(np.mean(seen) - 0.626) < 0.03
 
 
-def test_the_samples_are_the_rays_of_truth():
-    """The same spiral, and bits before an edge are those whose place is."""
+def test_disc_samples_are_the_rays_of_truth():
+    """Both use the same spiral, and the bits before an edge are those of the samples before it."""
     rays = sun_disc(np.array([0.0, -1.0, 0.0]), DISC_SAMPLES)
     away = np.hypot(rays[:, 0], rays[:, 2]) / -rays[:, 1] / DISC_TANGENT
     angle = np.arange(DISC_SAMPLES) * np.pi * (3.0 - 5.0**0.5)
@@ -137,8 +138,8 @@ def test_the_samples_are_the_rays_of_truth():
     ("level", "view"),
     [("thesis_street_sun", "main"), ("thesis_water_tower_sun", "close"), ("thesis_boxgrid_sun", "close")],
 )
-def test_made_scenes_are_near_rays(gl, level, view):
-    """Within 0.02 on average, and nearer than nine taps, which know no distance."""
+def test_penumbra_of_bundled_scenes_is_near_rays(gl, level, view):
+    """The mean difference is within 0.02, and smaller than that of nine taps, which ignore the distance."""
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     seen_from = scene.view(view, size=(192, 154))
     real = soft(scene, seen_from)
@@ -147,7 +148,7 @@ def test_made_scenes_are_near_rays(gl, level, view):
 
 
 @pytest.mark.parametrize("altitude", [30.0, pytest.param(10.0, marks=pytest.mark.long)])
-def test_terrain_is_near_rays(gl, altitude):
+def test_penumbra_of_terrain_is_near_rays(gl, altitude):
     scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=altitude))
     view = block_at(-84.25, 36.2933, 13).part(0, 0, 192, 192)
     real = soft(scene, view)
@@ -157,7 +158,7 @@ def test_terrain_is_near_rays(gl, altitude):
     assert inside.any() == (altitude == 10.0) and (not inside.any() or (seen[inside] > 0.05).mean() < 5e-3)
 
 
-def test_rolling_ground_is_near_rays(gl, write_raster, make_scene):
+def test_penumbra_of_rolling_ground_is_near_rays(gl, write_raster, make_scene):
     y, x = np.mgrid[0:121, 0:121] * 5.0
     heights = 30 * np.sin(x / 60) + 25 * np.cos(y / 45 + 1) + 10 * np.sin((x + y) / 20)
     scene = make_scene(write_raster(heights.astype(np.float32), ENGINEERING, 0, 605, 5.0), 140.0, 14.0)
@@ -168,8 +169,8 @@ def test_rolling_ground_is_near_rays(gl, write_raster, make_scene):
     assert found["sun"] < 0.01 and found["sun"] <= found[3]
 
 
-def test_no_light_where_a_body_touches_the_ground(gl, tmp_path):
-    """Umbra up to the walls; outside of the penumbra no shadow."""
+def test_penumbra_leaks_no_light_at_ground_contacts(gl, tmp_path):
+    """The umbra reaches the walls, and there is no shadow outside the penumbra."""
     scene = level_of(tmp_path, [box((9, 6, 5)), box((3, 3, 3), 0, (-6, -5))], 110, 28, views={"eye": EYE})
     view = scene.view("eye")
     real = soft(scene, view)
@@ -181,8 +182,8 @@ def test_no_light_where_a_body_touches_the_ground(gl, tmp_path):
     assert seen[lit].min() > 0.9
 
 
-def test_a_strip_is_the_same_from_both_neighbours(gl):
-    """Two blocks whose maps start elsewhere: the cells that texels are taken together in are the same."""
+def test_penumbra_is_the_same_in_adjacent_blocks(gl):
+    """The maps of the two blocks start at different places, but texels are grouped into the same cells."""
     scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=10))
     block = block_at(-84.25, 36.2933, 13)
     strip = 64
@@ -195,7 +196,7 @@ def test_a_strip_is_the_same_from_both_neighbours(gl):
 # -- plans
 
 
-def test_the_disc_takes_deep_maps_and_changes_pictures(gl, tmp_path):
+def test_sun_filter_uses_24_bits_and_changes_pictures(gl, tmp_path):
     scene = level_of(tmp_path, [box((9, 6, 5), 12)], 110, 28, views={"eye": EYE})
     view = scene.view("eye")
     plan = plan_of(scene, view, filter="sun")
@@ -206,7 +207,7 @@ def test_the_disc_takes_deep_maps_and_changes_pictures(gl, tmp_path):
     np.testing.assert_array_equal(pictures[1], pictures[2])
 
 
-def test_lamps_have_no_disc(tmp_path):
+def test_sun_filter_is_refused_for_lamps_without_radius(tmp_path):
     lamp = {"kind": "omni", "position": [0, -8, 12]}
     scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE}, lights={"lamp": lamp})
     settings = plan_of(scene, scene.view("eye"), filter="sun").settings

@@ -1,4 +1,4 @@
-"""Points that several facets share: nodes, and what lies between two facets."""
+"""Points that several facets share: nodes, and points between two facets."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MakeGround = Callable[..., tuple[Scene, MapView]]
 
 @pytest.fixture
 def ground_of(write_raster, make_scene) -> MakeGround:
-    """``ground_of(heights, azimuth, altitude)``: a level, and its view whose pixels are the raster's cells, the ground's nodes."""
+    """``ground_of(heights, azimuth, altitude)`` returns a level and its view, with a pixel on each cell, a node of the ground."""
 
     def make(heights: np.ndarray, azimuth: float = 180.0, altitude: float = 30.0, **keys) -> tuple[Scene, MapView]:
         rows, cols = heights.shape
@@ -49,14 +49,17 @@ def geometry(scene: Scene, view: MapView) -> GeometryBuffer:
 
 
 def between_nodes(view: MapView) -> MapView:
-    """Pixels on the nodes, half-way between two, and in the middles of quads, on their cuts."""
+    """Return a view with pixels on the nodes, half-way between two, and in the middles of quads, on their diagonals."""
     return MapView(view.grid, view.row0, view.col0, 0.5, 0.5, 2 * view.rows - 1, 2 * view.cols - 1)
 
 
 def facets_of(buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
-    """Normals (n, 3) of the ground's facets, and which of them a pixel's point lies in or on, (rows, cols, n), by asking each."""
+    """Return the normals (n, 3) of facets of casting ground, and which facets touch each pixel's point (rows, cols, n).
+
+    Every facet is tested against every point.
+    """
     assert buffer.surface is not None
-    sheet = buffer.surface.sheet
+    sheet = buffer.surface.casting.sheet
     o, a, b = sheet.position_frame_m.reshape(-1, 3)[sheet.triangles].transpose(1, 0, 2)
     aside = buffer.position_frame_m[:, :, None] - o
     (ax, ay, _), (bx, by, _) = (a - o).T, (b - o).T
@@ -64,44 +67,61 @@ def facets_of(buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
     u = (aside[..., 0] * by - aside[..., 1] * bx) / area
     v = (ax * aside[..., 1] - ay * aside[..., 0]) / area
     normal = np.cross(a - o, b - o)
-    touched = np.minimum(np.minimum(u, v), 1.0 - u - v) > -1e-9  # nowhere without a surface, where all is NaN
+    touched = np.minimum(np.minimum(u, v), 1.0 - u - v) > -1e-9  # false without a surface, where all values are NaN
     return normal / np.linalg.norm(normal, axis=1, keepdims=True), touched
 
 
+def without_rim(buffer: GeometryBuffer) -> GeometryBuffer:
+    """Return the same ground without its continuation beyond the outermost nodes: it ends there, as at a pole."""
+    assert buffer.surface is not None
+    return replace(buffer, surface=replace(buffer.surface, rim=None))
+
+
 def tent(along: str = "column") -> np.ndarray:
-    """A ridge of 45 degrees on either side."""
+    """Return a ridge with slopes of 45 degrees on both sides."""
     row, col = np.indices((SIDE, SIDE))
     return CELL_M * (SIDE // 2 - np.abs((col if along == "column" else row) - SIDE // 2))
 
 
 @pytest.mark.parametrize(("along", "azimuth"), [("column", 90.0), ("column", 270.0), ("row", 0.0), ("row", 180.0)])
-def test_a_ridge_sees_the_sun_on_either_side(ground_of, along, azimuth):
-    """Of its facets one side faces the sun: the ridge does. On the slope behind it all facets face away."""
+def test_a_ridge_faces_the_sun_on_either_side(ground_of, along, azimuth):
+    """One side of the ridge's facets faces the sun, so the ridge does. On the slope behind it all facets face away.
+
+    Level ground continues from the foot of that slope and faces the sun, but the way to the sun leads below the slope.
+    """
     scene, view = ground_of(tent(along), azimuth, 30.0)
-    found = attached(geometry(scene, view), scene)
+    buffer = geometry(scene, view)
+    found, blocked = attached(buffer, scene), facing_normals(buffer, scene.light_position("sun", buffer.frame)).blocked
     if along == "row":
-        found = found.T
+        found, blocked = found.T, blocked.T
     ridge = SIDE // 2
     if azimuth in (90.0, 180.0):  # the sun stands towards the last column, or row
-        found, ridge = found[:, ::-1], SIDE - 1 - ridge
-    assert not found[:, : ridge + 1].any() and found[:, ridge + 1 :].all()
+        found, blocked, ridge = found[:, ::-1], blocked[:, ::-1], SIDE - 1 - ridge
+    assert not found[:, : ridge + 1].any() and found[:, ridge + 1 : -1].all() and blocked[:, -1].all()
 
 
-def test_a_node_all_of_whose_facets_face_away_is_turned_away(ground_of):
-    """Facets of two slopes, both steeper than the sun stands high."""
+def test_a_node_faces_away_if_all_of_its_facets_do(ground_of):
+    """The facets have two slopes, both steeper than the sun's altitude.
+
+    At the top and the foot level ground continues and faces the sun.
+    """
     col = np.indices((SIDE, SIDE))[1]
     scene, view = ground_of(np.where(col < 4, CELL_M * col, 4 * CELL_M + 2 * CELL_M * (col - 4)), 90.0, 30.0)
     buffer = geometry(scene, view)
     normals, touched = facets_of(buffer)
     assert len(np.unique(np.round(normals[touched[4, 4]], 6), axis=0)) == 2
-    assert attached(buffer, scene).all()
+    found = attached(buffer, scene)
+    assert found[:, 1:-1].all() and not found[:, [0, -1]].any()
     higher = scene.sun.in_frame(buffer.frame) + [0.0, 0.0, 1.0]  # over 45 degrees, under atan(2): the lower facets see it
     facing = facing_normals(buffer, light_position(higher / np.linalg.norm(higher), 0.0)).normal_frame @ higher > 0.0
-    assert facing[:, :5].all() and not facing[:, 5:].any()
+    assert facing[:, :5].all() and not facing[:, 5:-1].any() and facing[:, -1].all()
 
 
-def test_a_lamp_is_faced_from_where_it_stands(ground_of):
-    """Two lamps, one over either slope of a ridge and lower than its crest: each lights its own slope, and the ridge."""
+def test_facing_depends_on_the_position_of_a_lamp(ground_of):
+    """Two lamps hang over the two slopes of a ridge, below its crest. Each lights its own slope, and the ridge.
+
+    At the foot of the other slope level ground continues and faces the lamp.
+    """
     crest = SIDE // 2  # half a cell east of the middle, which positions are counted from
     lights = {
         name: {"kind": "omni", "position": [CELL_M / 2 + aside, 0.0, CELL_M / 2]}
@@ -109,12 +129,13 @@ def test_a_lamp_is_faced_from_where_it_stands(ground_of):
     }
     scene, view = ground_of(tent(), lights=lights)
     buffer = geometry(scene, view)
-    for name, slope in (("west", np.s_[:, :crest]), ("east", np.s_[:, crest + 1 :])):
+    west, east = (np.s_[:, :crest], np.s_[:, 1:crest]), (np.s_[:, crest + 1 :], np.s_[:, crest + 1 : -1])
+    for name, slope, other in (("west", west[0], east[1]), ("east", east[0], west[1])):
         found = attached(buffer, scene, name)
         source = scene.light_position(name, buffer.frame)
         assert source.w == 1.0 and source.z == pytest.approx((crest - 1.5) * CELL_M)
         assert not found[slope].any() and not found[:, crest].any()
-        assert found.sum() == found.size - found[:, crest].size - found[slope].size
+        assert found[other].all()
         chosen = facing_normals(buffer, source).normal_frame[4, crest]
         assert chosen == pytest.approx(np.array([-1.0 if name == "west" else 1.0, 0.0, 1.0]) / 2**0.5, abs=1e-6)
 
@@ -129,7 +150,7 @@ def each_example(test):
 
 @each_example
 @given(heights=HEIGHTS, azimuth=AZIMUTHS, altitude=ALTITUDES)
-def test_the_facet_that_faces_most_is_chosen(ground_of, heights, azimuth, altitude):
+def test_the_facet_that_faces_the_light_most_is_chosen(ground_of, heights, azimuth, altitude):
     scene, view = ground_of(heights)
     buffer = geometry(scene, between_nodes(view))
     to_light = direction_enu(azimuth, altitude)
@@ -143,7 +164,7 @@ def test_the_facet_that_faces_most_is_chosen(ground_of, heights, azimuth, altitu
     by_smooth = ~np.isnan(lift_m) & ((towards < -1e-5) | (most < -1e-5) & (lift_m > 0.01))
     np.testing.assert_allclose((chosen @ to_light)[by_facets], most[by_facets], atol=1e-6)
     apart = np.linalg.norm(normals - chosen[:, :, None], axis=-1)
-    assert np.where(touched, apart, np.inf).min(axis=-1)[by_facets].max(initial=0.0) < 1e-6  # it is one of them
+    assert np.where(touched, apart, np.inf).min(axis=-1)[by_facets].max(initial=0.0) < 1e-6  # of one of the facets
     np.testing.assert_array_equal(chosen[by_smooth], smooth[by_smooth])
     assert not facing.lifted[by_facets].any()
     assert (facing.lifted == (towards > 0.0))[by_smooth & (np.abs(towards) > 1e-5)].all()
@@ -151,10 +172,10 @@ def test_the_facet_that_faces_most_is_chosen(ground_of, heights, azimuth, altitu
 
 @each_example
 @given(heights=HEIGHTS)
-def test_without_a_light_the_mean_of_all_quads_facets_is_the_normal(ground_of, heights):
+def test_normal_without_a_light_is_the_mean_over_all_quads(ground_of, heights):
     scene, view = ground_of(heights)
     buffer = geometry(scene, between_nodes(view))
-    normals, touched = facets_of(buffer)
+    normals, touched = facets_of(without_rim(buffer))
     assert set(touched.sum(axis=-1).ravel().tolist()) >= {1, 2}
     pairs = touched.reshape(*touched.shape[:2], -1, 2)  # both facets of a quad weigh as much as a single one
     mean = (pairs / np.maximum(pairs.sum(axis=-1, keepdims=True), 1)).reshape(touched.shape) @ normals
@@ -163,19 +184,22 @@ def test_without_a_light_the_mean_of_all_quads_facets_is_the_normal(ground_of, h
 
 @each_example
 @given(heights=HEIGHTS, azimuth=AZIMUTHS, altitude=ALTITUDES)
-def test_the_crease_is_that_of_the_chosen_facet(ground_of, heights, azimuth, altitude):
-    """On a node: to the farthest of its facets' normals."""
+def test_crease_is_measured_from_the_chosen_facet(ground_of, heights, azimuth, altitude):
+    """On a node the crease is the distance to the farthest of its facets' normals."""
     scene, view = ground_of(heights)
     buffer = geometry(scene, view)
     facing = facing_normals(buffer, light_position(direction_enu(azimuth, altitude), 0.0))
-    normals, touched = facets_of(buffer)
-    for crease, normal in ((facing.crease, facing.normal_frame), (buffer.crease, buffer.normal_frame)):
+    for of, crease, normal in (
+        (buffer, facing.crease, facing.normal_frame),
+        (without_rim(buffer), buffer.crease, buffer.normal_frame),
+    ):
+        normals, touched = facets_of(of)
         apart = np.linalg.norm(normals - normal[:, :, None], axis=-1)
         np.testing.assert_allclose(crease, np.where(touched, apart, 0.0).max(axis=-1), atol=1e-5)
 
 
 def test_mirrored_ground_has_mirrored_normals(ground_of):
-    """Neither facets nor their number hang on which way a plane quad is cut."""
+    """Neither facets nor their number depend on which diagonal cuts a plane quad."""
     heights = np.zeros((SIDE, SIDE))
     heights[:5, 5] = CELL_M  # a wall that ends in the middle
     (scene, view), (other, other_view) = ground_of(heights), ground_of(heights[::-1])
@@ -186,8 +210,8 @@ def test_mirrored_ground_has_mirrored_normals(ground_of):
 
 @each_example
 @given(heights=HEIGHTS, azimuth=AZIMUTHS, altitude=ALTITUDES, holes=st.sets(st.tuples(*[st.integers(1, SIDE - 2)] * 2), max_size=4))
-def test_points_are_lifted_off_all_of_their_facets(ground_of, heights, azimuth, altitude, holes):
-    """By a metre or more of each facet, or else a ray meets what it starts from; on the rim, too."""
+def test_points_are_lifted_above_all_of_their_facets(ground_of, heights, azimuth, altitude, holes):
+    """The lift above each facet is a metre or more, also at the rim. Otherwise a ray would meet the facet that it starts from."""
     for hole in holes:
         heights[hole] = -9999.0
     scene, view = ground_of(heights)
@@ -206,10 +230,10 @@ def test_a_point_of_one_facet_is_lifted_along_its_normal(ground_of):
     np.testing.assert_array_equal(facing.crease, buffer.crease)
 
 
-def test_points_on_the_rim_are_lifted_inwards_where_light_comes_along_it(ground_of):
-    """On the outer rows and columns; inside straight up, and so is what light leaves or enters the ground at."""
+def test_rim_points_are_lifted_inwards_for_light_along_the_rim(ground_of):
+    """This holds on the outer rows and columns. The lift is straight up inside, and where light enters or leaves the ground."""
     scene, view = ground_of(np.random.default_rng(1).uniform(0.0, 4.0, (SIDE, SIDE)))
-    buffer = geometry(scene, between_nodes(view))
+    buffer = without_rim(geometry(scene, between_nodes(view)))
     last = 2 * SIDE - 2
     shared = facets_of(buffer)[1].sum(axis=-1) > 1
     assert buffer.valid.all()
@@ -227,8 +251,11 @@ def test_points_on_the_rim_are_lifted_inwards_where_light_comes_along_it(ground_
         assert (between[rim][shared[rim]][:, :2] == 0.0).all()
 
 
-def test_the_rim_runs_along_diagonals_too(ground_of):
-    """Where data ends askew a node is missing, and of the quads round it a half each: no quad is, but the diagonals are the rim."""
+def test_the_rim_includes_diagonals_at_missing_nodes(ground_of):
+    """At an oblique edge of the data a node is missing, and with it half of each quad around it.
+
+    No whole quad is missing, so the diagonals are the rim.
+    """
     scene, view = ground_of(np.random.default_rng(1).uniform(0.0, 4.0, (SIDE, SIDE)))
     whole = geometry(scene, view)
     assert whole.surface is not None and isinstance(whole.view, MapView)
@@ -244,21 +271,21 @@ def test_the_rim_runs_along_diagonals_too(ground_of):
     assert (across[3, 2, :2] == 0.0).all()
 
 
-def test_steep_ground_that_falls_to_the_rim_is_lifted_inwards_too(ground_of):
+def test_steep_ground_that_falls_to_the_rim_is_lifted_inwards(ground_of):
     heights = np.full((SIDE, SIDE), 24.0)
     heights[:, 0] = 0.0
     scene, view = ground_of(heights)
-    buffer = geometry(scene, between_nodes(view))
+    buffer = without_rim(geometry(scene, between_nodes(view)))
     lift = facing_normals(buffer, light_position(direction_enu(0.0, 20.0), 0.0)).lift_frame
     assert (lift[1:, 0, 0] > 0.0).all()
 
 
-def test_a_flat_and_a_steep_facet_on_the_rim_are_both_left(ground_of):
-    """The flat one faces the sun more; the steep one rises inwards, where the rim's points are lifted to."""
+def test_rim_points_are_lifted_above_flat_and_steep_facets(ground_of):
+    """The flat facet faces the sun more. The steep facet rises inwards, where points on the rim are lifted to."""
     heights = np.zeros((SIDE, SIDE))
     heights[6, 1] = 100.0
     scene, view = ground_of(heights)
-    buffer = geometry(scene, view)
+    buffer = without_rim(geometry(scene, view))
     facing = facing_normals(buffer, light_position(direction_enu(0.0, 80.0), 0.0))
     assert facing.normal_frame[5, 0] == pytest.approx([0.0, 0.0, 1.0])
     normals, touched = facets_of(buffer)
@@ -271,7 +298,7 @@ def test_a_camera_s_points_have_one_triangle_each(gl, ground_of):
     buffer = geometry_buffer(scene, scene.view("low"))
     facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
     assert buffer.valid.any()
-    assert facing.lift_frame is None  # the buffer's own normals lead off
+    assert facing.lift_frame is None  # the lift is along the buffer's own normals
     assert not facing.blocked.any()
     to_sun = direction_enu(200.0, 20.0)
     by_day = (buffer.normal_frame @ to_sun > 0.1) & (buffer.shading_normal_frame @ to_sun > 0.1)
@@ -279,8 +306,8 @@ def test_a_camera_s_points_have_one_triangle_each(gl, ground_of):
     np.testing.assert_array_equal(facing.normal_frame[by_day], buffer.normal_frame[by_day])
 
 
-def test_up_is_up_all_round_the_globe(write_raster, make_scene):
-    """The frame of the whole earth has one third axis, and its ground an up everywhere: by day nothing there is in shadow."""
+def test_points_are_lifted_upwards_everywhere_on_the_globe(write_raster, make_scene):
+    """The frame of the whole earth has one third axis, but up differs from place to place. By day no ground is in shadow."""
     heights = np.random.default_rng(3).uniform(-3000.0, 3000.0, (91, 180)).astype(np.float32)
     scene = make_scene(write_raster(heights, "EPSG:4326", -180.0, 91.0, 2.0), 67.0, 10.0)
     view = scene.view(bounds=(-178.0, -78.0, 178.0, 78.0), size=(178, 78))

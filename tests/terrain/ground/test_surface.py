@@ -1,20 +1,25 @@
-"""Heights of a grid's nodes: kept in tiles, refined, and along an axis."""
+"""Heights of grid nodes: cached in tiles, refined, and projected on an axis."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyproj import CRS
+from scipy.ndimage import binary_dilation
 
 from skugga.terrain.geo.grid import Grid
+from skugga.terrain.ground.columns import Columns
 from skugga.terrain.ground.height_tiles import RIM_NODES, TILE_NODES, _tile_ranges
 from skugga.terrain.ground.surface import HeightWindow, RefinedWindow
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
+from tests.rasters import ENGINEERING, write_geotiff
 
 
 @given(st.integers(-3000, 3000), st.integers(1, 2500))
-def test_tiles_give_every_node_once(first, count):
+def test_tile_ranges_contain_every_node_once(first, count):
     given_nodes: list[int] = []
     for tile, start, stop in _tile_ranges(first, count):
         assert tile * TILE_NODES - RIM_NODES <= start < stop <= (tile + 1) * TILE_NODES + RIM_NODES
@@ -31,27 +36,27 @@ def scene(write_raster, make_scene):
 
 
 def grid_over(scene, step: float) -> Grid:
-    """A Mercator grid with its node (0, 0) at the level's middle."""
+    """Return a Mercator grid with node (0, 0) at the centre of the level."""
     crs = CRS.from_epsg(3857)
     x, y, _ = scene.world.map_position(crs, scene.world.anchor_earth_m)
     return Grid(crs, float(x), float(y), step)
 
 
-def test_a_block_and_the_nodes_round_it_take_its_own_tiles():
+def test_block_and_its_rim_need_only_its_own_tiles():
     assert [tile for tile, _, _ in _tile_ranges(-RIM_NODES, 2 * TILE_NODES + 2 * RIM_NODES)] == [0, 1]
 
 
 @pytest.mark.parametrize("window", [(-40, -90, 70, 200), (500, -530, 30, 60), (-520, 505, 20, 20), (900, 900, 10, 10)])
-def test_windows_of_tiles_are_those_read_at_once(scene, window):
+def test_height_window_equals_heights_read_at_once(scene, window):
     surface = scene.surface(grid_over(scene, 20.0))
     height, valid = surface.heights(*window)
-    for _ in range(2):  # read, then kept
+    for _ in range(2):  # read, then cached
         kept = surface.height_window(*window)
         assert np.array_equal(kept.height_m, height, equal_nan=True)
         assert np.array_equal(kept.valid, valid & np.isfinite(height))
 
 
-def test_kept_heights_are_not_read_again(scene, monkeypatch):
+def test_cached_heights_are_not_read_again(scene, monkeypatch):
     surface = scene.surface(grid_over(scene, 20.0))
     first = surface.height_window(-40, -90, 70, 200)
     monkeypatch.setattr(type(surface), "heights", None)
@@ -61,8 +66,8 @@ def test_kept_heights_are_not_read_again(scene, monkeypatch):
 @pytest.mark.parametrize("row0", [-741, -740])
 @pytest.mark.parametrize("col0", [-33, 10])
 @pytest.mark.parametrize("turn", [(1, 1, False), (-1, 1, False), (1, -1, False), (1, 1, True), (-1, -1, True)])
-def test_coordinates_along_an_axis_are_those_of_the_nodes_points(scene, row0, col0, turn):
-    """Against points in a frame, whichever way the array lies; and refined on the way as refined before."""
+def test_along_equals_the_coordinates_of_the_points(scene, row0, col0, turn):
+    """Compare with points in a frame, for any orientation of the array, and for heights refined on the fly or in advance."""
     down, right, swapped = turn
     surface, frame = scene.surface(grid_over(scene, 20.0).refined()), scene.world.frame_near_earth(scene.world.anchor_earth_m)
     rows, cols = 150, 190
@@ -79,16 +84,16 @@ def test_coordinates_along_an_axis_are_those_of_the_nodes_points(scene, row0, co
     assert np.array_equal(*filled, equal_nan=True)
     exact = (frame.points_to_earth(surface.points(row0, col0, window.height_m, frame)) - origin) @ axis
     assert np.isnan(filled[0]).any() and np.array_equal(np.isnan(filled[0]), np.isnan(exact))
-    assert np.nanmax(np.abs(filled[0] - exact)) < 2e-3  # float32 of kilometres
+    assert np.nanmax(np.abs(filled[0] - exact)) < 2e-3  # float32 at distances of kilometres
 
 
-def test_refined_heights_are_middles_along_the_higher_diagonals():
+def test_refined_heights_are_midpoints_of_higher_diagonals():
     coarse = np.array([[0.0, 4.0, 6.0], [2.0, 8.0, np.nan], [1.0, 1.0, 1.0]], np.float32)
     window = RefinedWindow(0, 0, (5, 5), HeightWindow(0, 0, coarse, np.isfinite(coarse)))
     nan = np.nan
     expected = [
         [0.0, 2.0, 4.0, 5.0, 6.0],
-        [1.0, 4.0, 6.0, 7.0, nan],  # 4 of 0 and 8, not 3 of 4 and 2; 7 of 8 and 6: the other diagonal has no corner
+        [1.0, 4.0, 6.0, 7.0, nan],  # 4 from 0 and 8, not 3 from 4 and 2; 7 from 8 and 6, because the other diagonal lacks a corner
         [2.0, 5.0, 8.0, nan, nan],
         [1.5, 4.5, 4.5, 4.5, nan],
         [1.0, 1.0, 1.0, 1.0, 1.0],
@@ -97,3 +102,87 @@ def test_refined_heights_are_middles_along_the_higher_diagonals():
     assert np.array_equal(window.valid, np.isfinite(window.height_m))
     part = RefinedWindow(1, 3, (3, 2), HeightWindow(0, 1, coarse[:, 1:], np.isfinite(coarse[:, 1:])))
     assert np.array_equal(part.height_m, np.array(expected, np.float32)[1:4, 3:5], equal_nan=True)
+
+
+# -- the rim
+
+
+def test_rim_extends_the_raster_by_one_node(write_raster, make_scene):
+    """On the raster's own nodes, the rim is a ring of its outermost heights, which are not valid."""
+    heights = np.arange(20, dtype=np.float32).reshape(4, 5) ** 2
+    scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 40.0, 10.0))
+    surface = scene.surface(Grid(scene.map_crs, 5.0, 35.0, 10.0))
+    window = surface.height_window(-3, -3, 10, 11, rim=True)
+    height, valid = window.height_m, window.valid
+    np.testing.assert_array_equal(height[2:-2, 2:-2], np.pad(heights, 1, mode="edge"))
+    np.testing.assert_array_equal(valid, np.pad(np.ones((4, 5), bool), 3))
+    assert np.isnan(height[[0, 1, -2, -1]]).all() and np.isnan(height[:, [0, 1, -2, -1]]).all()
+
+
+@pytest.mark.parametrize("finer", [0, 1])
+def test_rim_casts_but_is_not_shown(write_raster, make_scene, finer):
+    """Heights and cuts of quads are equal with and without the rim, on the raster's own nodes and on finer nodes."""
+    heights = np.random.default_rng(2).normal(size=(4, 5)).astype(np.float32)
+    heights[:2, 3:] = np.nan
+    scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 40.0, 10.0))
+    surface = scene.surface(Grid(scene.map_crs, 5.0, 35.0, 10.0).finer(finer))
+    around = -6, -6, 20, 21
+    shown, casting = surface.height_window(*around), surface.height_window(*around, rim=True)
+    np.testing.assert_array_equal(shown.valid, casting.valid)
+    known = np.isfinite(shown.height_m)
+    assert (np.isfinite(casting.height_m) & ~known).any()
+    for height, valid in ((shown.height_m, shown.valid), surface.heights(*around)):
+        np.testing.assert_array_equal(np.isfinite(height), known)
+        np.testing.assert_array_equal(valid, shown.valid)
+    window = surface.window(*around, scene.world.frame_near(scene.map_crs, 0.0, 0.0))
+    for mine, other in ((window.height_m, shown.height_m), (window.casting.height_m[known], window.height_m[known])):
+        np.testing.assert_array_equal(mine, other)
+    assert np.isfinite(window.casting.position_frame_m[..., 2]).sum() == np.isfinite(casting.height_m).sum()
+    complete = np.isfinite(window.sheet.normals_frame[..., 0])
+    np.testing.assert_array_equal(window.casting.sheet.normals_frame[complete], window.sheet.normals_frame[complete])
+
+
+@given(st.floats(-0.49, 0.49), st.floats(-0.49, 0.49), st.sampled_from([0.4, 1.0, 1.4, 3.0]))
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_rim_nodes_are_neighbours_of_valid_nodes(scene_of_cells, row, col, step):
+    """For any offset of nodes from cells, the heights are those of valid nodes and of their eight neighbours."""
+    scene = scene_of_cells
+    surface = scene.surface(Grid(scene.map_crs, 10.0 * col + 5.0, 395.0 - 10.0 * row, 10.0 * step))
+    window = surface.height_window(-5, -5, 120, 120, rim=True)
+    height, valid = window.height_m, window.valid
+    assert valid.any() and not valid[[0, 1, -2, -1]].any()
+    np.testing.assert_array_equal(np.isfinite(height), binary_dilation(valid, np.ones((3, 3), bool)))
+
+
+@pytest.fixture(scope="module")
+def scene_of_cells(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cells")
+    heights = np.random.default_rng(1).normal(size=(40, 40)).astype(np.float32)
+    raster = write_geotiff(folder / "dem.tif", heights, ENGINEERING, 0.0, 400.0, 10.0)
+    (folder / "level.yaml").write_text(f"version: 1\nterrain: {{source: {raster}}}\nsun: {{azimuth: 180, altitude: 30}}\n")
+    return build_scene(load_level(folder / "level.yaml"))
+
+
+def test_rim_does_not_depend_on_the_window(scene):
+    """This includes windows that contain only rim nodes."""
+    surface = scene.surface(grid_over(scene, 20.0))
+    height, valid, _ = surface._heights_and_rim(-300, -400, 600, 800)
+    rim = np.argwhere(np.isfinite(height) & ~valid)
+    assert len(rim) > 500
+    for row, col in rim[:: len(rim) // 20]:
+        single, _, _ = surface._heights_and_rim(int(row) - 300, int(col) - 400, 1, 1)
+        assert single[0, 0] == height[row, col]
+
+
+def test_rim_does_not_extend_beyond_a_pole(write_raster, make_scene):
+    heights = np.zeros((18, 36), np.float32)
+    scene = make_scene(write_raster(heights, "EPSG:4326", -180.0, 90.0, 10.0))
+    window = scene.surface(Grid(CRS.from_epsg(4326), -175.0, 85.0, 10.0)).height_window(-2, 0, 22, 36, rim=True)
+    height, valid = window.height_m, window.valid
+    assert valid[2:-2].all() and np.isnan(height[:2]).all() and np.isnan(height[-2:]).all()
+
+
+def test_columns_have_no_rim(write_raster, make_scene):
+    scene = make_scene(write_raster(np.ones((4, 5), np.float32), ENGINEERING, 0.0, 40.0, 10.0), terrain={"surface": "blocks"})
+    height, _ = Columns(scene.world, scene.elevation, 0).heights(-2, -2, 8, 9)
+    np.testing.assert_array_equal(np.isfinite(height), np.pad(np.ones((4, 5), bool), 2))
