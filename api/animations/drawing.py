@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from pathlib import Path
 
@@ -9,10 +10,13 @@ import numpy as np
 
 from skugga.api.animations.animations import Draw
 from skugga.api.animations.film_order import FilmOrder
-from skugga.api.errors import LevelChangedError
+from skugga.api.errors import ExhaustedError, LevelChangedError, WorkerStartError, outcome_of
 from skugga.api.film_files import write_film
 from skugga.api.workers.jobs import FilmPicture, FrameJob, LevelKey, PlanHandover
 from skugga.api.workers.pool import Pool
+
+FRAME_TRIES = 5
+"""How often a frame is tried while render processes cannot start: with the pauses that clients are told, some 20 seconds."""
 
 
 def frame_job(order: FilmOrder, number: int, before: PlanHandover | None = None) -> FrameJob:
@@ -34,12 +38,28 @@ def frame_renderer(pool: Pool, level_now: Callable[[str], Awaitable[LevelKey]]) 
         for number in range(order.span.frames):
             if await level_now(order.level_name) != order.level:
                 raise LevelChangedError(f"Level {order.level_name} has changed while it was drawn: ask for the animation again.")
-            picture = await pool.run(frame_job(order, number, before))
-            assert isinstance(picture, FilmPicture)
+            picture = await _frame(pool, frame_job(order, number, before))
             before = picture.after
             yield picture.color
 
     return draw
+
+
+async def _frame(pool: Pool, job: FrameJob) -> FilmPicture:
+    """Draw a frame. Try it again where no render process could start: a single picture's client is told to come back, but an
+    animation is a job that waits by itself. Raises what ``Pool.run`` raises.
+    """
+    for number_of_try in range(1, FRAME_TRIES + 1):
+        try:
+            picture = await pool.run(job)
+        except (WorkerStartError, ExhaustedError) as error:
+            if number_of_try == FRAME_TRIES:
+                raise
+            await asyncio.sleep(outcome_of(error).retry_after_s or 1)
+        else:
+            assert isinstance(picture, FilmPicture)
+            return picture
+    raise AssertionError  # the last try has returned or raised
 
 
 def write_animation(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:

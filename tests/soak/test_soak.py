@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import io
 import itertools
 import json
 import os
@@ -18,12 +19,15 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+from PIL import Image, ImageSequence
 
 from tests.api.conftest import CORNER, ZOOM, write_level
 from tests.api.http.test_serve import alive
@@ -43,6 +47,10 @@ SETTLED_S = 15.0
 """How long an overload lasts before it is measured: a burst is let in, and has to be worked off first."""
 
 WORKERS = 2
+ANIMATIONS = 3
+"""The first is not disturbed; render processes are killed while the others are drawn."""
+
+DAY = {"from": "2024-06-21T06:00:00+02:00", "to": "2024-06-21T18:00:00+02:00", "step": "20m", "size": [320, 240]}
 TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 KNOWN = {200, 304, 429, 503, 504}
 
@@ -237,6 +245,46 @@ def _render_processes(service_pid: int) -> list[int]:
         except (OSError, ValueError):
             continue
     return found
+
+
+def test_an_animation_outlives_killed_processes(tmp_path: Path, capsys: pytest.CaptureFixture):
+    """An animation is the same to the byte whenever its render processes are killed; the service keeps no part of one."""
+    chosen, kills, finished = random.Random(3), 0, []
+    with service(tmp_path) as (port, process, _):
+        for run in range(ANIMATIONS):
+            address = _ask(port, "/levels/hills/animations", DAY | {"fps": 10 + run})["location"]
+            while (status := _ask(port, address)["body"]["status"]) in ("accepted", "running"):
+                time.sleep(chosen.uniform(0.0, 2.0))
+                if run and _ready(port) and (workers := _render_processes(process.pid)):
+                    os.kill(chosen.choice(workers), signal.SIGKILL)
+                    kills += 1
+            assert status == "successful", json.dumps(_ask(port, address)["body"])
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}{address}/result", timeout=30) as answer:
+                finished.append(frames_of(answer.read()))
+    with capsys.disabled():
+        print(f"\n{ANIMATIONS} animations of {len(finished[0])} frames, {kills} processes killed")
+    assert kills >= ANIMATIONS - 1
+    assert all(frames == finished[0] for frames in finished)
+
+
+def frames_of(webp: bytes) -> list[bytes]:
+    """Return the hash of each frame of an animation: its speed is another in each, and with it the file."""
+    with Image.open(io.BytesIO(webp)) as film:
+        return [hashlib.sha256(frame.convert("RGB").tobytes()).digest() for frame in ImageSequence.Iterator(film)]
+
+
+def _ask(port: int, path: str, body: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Ask the service, again after a refusal with a time to come back: ``location`` and the ``body`` of its answer."""
+    data = None if body is None else json.dumps(body).encode()
+    while True:
+        request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", data, {"Content-Type": "application/json"})
+        try:
+            with urllib.request.urlopen(request, timeout=60) as answer:
+                location = answer.headers["location"]
+                return {"location": location and location[location.index("/animations") :], "body": json.load(answer)}
+        except urllib.error.HTTPError as error:
+            assert error.code in (429, 503), error.read()
+            time.sleep(float(error.headers["retry-after"]))
 
 
 def test_idle_connections_beyond_the_descriptors(tmp_path: Path, capsys: pytest.CaptureFixture):

@@ -14,10 +14,11 @@ import pytest
 
 from skugga.api.animations.animation import Animation
 from skugga.api.animations.animations import Animations
+from skugga.api.animations.drawing import FRAME_TRIES, frame_renderer
 from skugga.api.animations.film_order import FilmOrder
-from skugga.api.errors import NotServedError, RetryLaterError, StorageError
+from skugga.api.errors import NotServedError, RetryLaterError, StorageError, WorkerStartError, outcome_of
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import LevelKey
+from skugga.api.workers.jobs import FilmPicture, FrameJob, LevelKey, PlanHandover
 from skugga.selector.film_request import FilmSpan
 from skugga.terrain.errors import BusyError, InputError, RenderError
 from tests.api.workers.test_pool import SOON_S, until
@@ -390,3 +391,41 @@ def test_names_are_long_and_never_the_same():
             animations.get("0" * 32)
 
     with_animations(scenario)
+
+
+class StartingPool:
+    """A pool no process of which starts for the first few jobs."""
+
+    def __init__(self, failures: int) -> None:
+        self.failures, self.jobs = failures, []
+
+    async def run(self, job: FrameJob) -> FilmPicture:
+        self.jobs.append(job.number)
+        if len(self.jobs) <= self.failures:
+            raise WorkerStartError("a render process ended while it warmed up")
+        return FilmPicture(np.full((2, 3, 3), job.number, np.uint8), PlanHandover(None))
+
+
+@pytest.mark.parametrize(("failures", "drawn"), [(0, FRAMES), (FRAME_TRIES - 1, FRAMES), (FRAME_TRIES, 0)])
+def test_a_frame_waits_for_a_process_that_starts(monkeypatch, failures, drawn):
+    """It is tried a few times, with pauses; an animation fails where that does not help."""
+    pauses = []
+
+    async def pause(seconds: float) -> None:
+        pauses.append(seconds)
+
+    async def level_now(name: str) -> LevelKey:
+        return order().level
+
+    async def frames_of(pool: StartingPool) -> list[int]:
+        return [int(frame[0, 0, 0]) async for frame in frame_renderer(pool, level_now)(order())]  # type: ignore[arg-type]
+
+    monkeypatch.setattr("skugga.api.animations.drawing.asyncio.sleep", pause)
+    pool = StartingPool(failures)
+    if drawn:
+        assert asyncio.run(frames_of(pool)) == list(range(FRAMES))
+        assert pool.jobs == [0] * failures + list(range(FRAMES))
+    else:
+        with pytest.raises(WorkerStartError):
+            asyncio.run(frames_of(pool))
+    assert pauses == [outcome_of(WorkerStartError("")).retry_after_s] * min(failures, FRAME_TRIES - 1)
