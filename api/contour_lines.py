@@ -79,7 +79,7 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
         except (DataSourceError, DataLayerError, GeometryError, FeatureError) as error:
             raise write_error(path, "the contours", error) from error
         if written != len(all_lines):
-            raise write_error(path, "the contours", ValueError(f"{written} of {len(all_lines)} lines"))
+            raise write_error(path, "the contours", ValueError(f"only {written} of {len(all_lines)} lines were written"))
     return len(all_lines)
 
 

@@ -1,26 +1,28 @@
-"""What algorithms cost and gain, as ratios within one run: absolute milliseconds do not travel from one machine to another.
+"""Cost and benefit of shadow algorithms, as ratios within one run: absolute milliseconds do not compare between machines.
 
     python -m benchmarks.algorithms frames [--repeats 30] [--map-size 512] [--json FILE] [--markdown FILE]
     python -m benchmarks.algorithms cascades [--json FILE] [--markdown FILE]
     python -m benchmarks.algorithms thesis [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
     python -m benchmarks.algorithms stencil [--scenes thesis_rocks ...] [--size 1280x1024] [--repeats 30] [--cpu] [--json FILE] ...
 
-`frames` draws the SpatialAce level's perspective view at 800 x 600 with one map of 512 x 512 texels: whole frames
-(``render_frame``), taking turns, medians over those without cast shadows. ``redrawn``: before every frame the sun moves by a
-step that it never takes twice, so that nothing that depends on a sun is at hand; its plan is made outside of the clock.
-``kept``: sun and camera rest, and the map of the frame before is looked up again.
+`frames` draws the SpatialAce level's perspective view at 800 x 600 with one map of 512 x 512 texels. It times whole frames
+(``render_frame``) that take turns; the figures are ratios of medians to frames without cast shadows. ``redrawn``: the sun moves
+before every frame by a step that never repeats, so that no cache holds anything for it; planning is not timed. ``kept``: sun and
+camera rest, and the previous frame's map is looked up again.
 
-`cascades` holds four cascades of 1024 against one map of 2048 texels a side (the same memory) against ray-traced truth, seen
-from a summit over houses and 20 km of mountains: shadow edges near and far.
+`cascades` compares four cascades of 1024 and one map of 2048 texels a side (the same memory) with ray-traced truth. The view is
+from a summit over houses and 20 km of mountains, with shadow edges near and far.
 
-`thesis` lets the algorithms that stand in J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), section 7, take turns in the
-main views of its scenes, each under a spot and under the sun: single maps of 1024 texels a side, the hybrids' of 768. Times are
-those of the shadow alone, which is what lies between casters and shading; ratios are those of medians to ``shadow_map``.
-``redrawn`` pays all that a light costs when it moves, ``kept`` what is left while light and casters rest. With `--cpu` they are the
-CPU time of all threads, for machines that have other work to do. `stencil` does the same with ways of counting volumes, and with
-the hybrids where the eye is in the shadow; ratios are those to ``shadow_volume``. ``MiB`` is the most that a pass holds, ``marked``
-and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid leaves to its volumes, ``differs`` is the
-share of pixels whose shadow is not that of ``shadow_volume``. Below them stand the targets.
+`thesis` lets the algorithms of J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), section 7, take turns in the main views
+of its scenes, each under a spot and under the sun: single maps of 1024 texels a side, the hybrids' of 768. Times are those of the
+shadow alone, between casters and shading; ratios are those of medians to ``shadow_map``. ``redrawn`` includes all costs of a light
+that moves, ``kept`` the remaining costs while light and casters rest. With `--cpu` times are the CPU time of all threads, for
+machines with other load.
+
+`stencil` compares the ways of counting volumes, and the hybrids with the eye in shadow; ratios are those to ``shadow_volume``.
+``MiB`` is the peak memory of a pass. ``marked`` and ``tiles`` are the shares of the surface's pixels and 8 x 8 tiles that a hybrid
+leaves to its volumes. ``differs`` is the share of pixels whose shadow differs from that of ``shadow_volume``. The targets follow
+below.
 
 The line sweep's speed has a script of its own, `benchmarks/sweep_speed.py`: it needs no OpenGL.
 """
@@ -61,17 +63,17 @@ from skugga.terrain.scene import Scene, build_scene
 
 SIZE = (800, 600)
 SUN_STEP_DEG = 0.07
-"""How far the sun moves from one redrawn frame to the next."""
+"""Degrees that the sun moves between redrawn frames."""
 
 RIDGES_M, RIDGES_CELL_M = 24_000, 20
 EYE_M = (-9692.0, -11_000.0)
-"""A summit in the south-west of generated mountains; the middle of them is looked at."""
+"""A summit in the south-west of generated mountains; the view looks at their middle."""
 
 HOUSES_AT_M = (60, 90, 130, 190, 280, 400, 600, 900, 1300, 2000, 3000)
-"""Distances from the eye at which five houses each stand, so that there are shadow edges near as well as far."""
+"""Distances from the eye of groups of five houses, for shadow edges near and far."""
 
 SUNS = [(100.0, 10.0), (300.0, 15.0), (60.0, 12.0)]
-"""Azimuths and altitudes that the cascades are measured under."""
+"""Azimuths and altitudes of the suns over the cascades."""
 
 SCENES = [f"thesis_{name}{sun}" for name in ("boxgrid", "rocks", "street", "room", "water_tower") for sun in ("", "_sun")]
 
@@ -83,7 +85,7 @@ RIVALS: dict[str, dict[str, Any]] = {
     "hybrid": {"algorithm": "hybrid"},
     "hybrid original": {"algorithm": "hybrid", "mask": "original"},
 }
-"""What takes turns in the thesis's scenes, and what is asked of it."""
+"""Names and overrides that take turns in the thesis's scenes."""
 
 COUNTING_VARIANTS: dict[str, dict[str, Any]] = {
     "shadow_volume": {"algorithm": "shadow_volume"},
@@ -92,13 +94,13 @@ COUNTING_VARIANTS: dict[str, dict[str, Any]] = {
     "hybrid": RIVALS["hybrid"],
     "hybrid original": RIVALS["hybrid original"],
 }
-"""Ways of counting volumes: both sides of them at a time and z-pass where that is right, and otherwise."""
+"""Ways of counting volumes: both sides at a time with z-pass where it is valid, and the alternatives."""
 
 IN_SHADOW, AHEAD_M = "in shadow", 23.0
-"""A view from so far ahead of the box grids' main one, on its axis: there the eye is in the shadow, the spot's and the sun's."""
+"""Distance of a view ahead of the box grids' main view, on its axis: its eye is in the shadow of both the spot and the sun."""
 
 STENCIL_VIEWS = {"boxgrid": ("main", IN_SHADOW, "close"), "rocks": ("main",), "street": ("main",)}
-"""Views that the ways of counting are compared in. (The box grids' close ones have their eyes in the shadow, too.)"""
+"""Views for the ways of counting. (The box grids' close views have their eyes in the shadow, too.)"""
 
 TARGETS = [
     ("rocks", "main", "perspective_shadow_map", "shadow_map", "at most", 1.15),
@@ -108,22 +110,24 @@ TARGETS = [
     ("boxgrid", IN_SHADOW, "hybrid", "shadow_volume", "at most", 0.7),
     ("boxgrid", "close", "hybrid", "shadow_volume", "at most", 0.7),
 ]
-"""Scene, view, what is asked to be fast, beside what, and the ratio of their times."""
+"""Scene, view, the algorithm that should be fast, its reference, and the target ratio of their times."""
 
 MAX_MARKED = 0.25
-"""Share of the box grids' pixels that the hybrid may leave to its volumes, where the eye is in the shadow."""
+"""The largest share of the box grids' pixels that the hybrid may leave to its volumes with the eye in the shadow."""
 
 Row = dict[str, Any]
 
 
 def frames(repeats: int, map_size: int) -> list[Row]:
-    """Frame times without shadows, with the map redrawn for every frame, and with the map kept."""
+    """Measure frame times without shadows, with the map redrawn for every frame, and with a cached map."""
     return list(frames_of_sizes(repeats, (map_size,)).values())
 
 
 def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> dict[tuple[str, int], Row]:
-    """The rows of ``frames`` for several sizes of the map, all taking turns: what is done with the map (``none`` without shadows,
-    ``redrawn``, ``kept``) and its size (0 of ``none``) -> row. ``settings`` are asked of every map.
+    """Return the rows of ``frames`` for several map sizes that take turns.
+
+    Keys are the state of the map (``none`` without shadows, ``redrawn``, ``kept``) and its size (0 of ``none``). ``settings`` are
+    overrides for every map.
     """
     scene = build_scene(load_level(find_level("spatialace")))
     view = scene.view("main", size=SIZE)
@@ -153,7 +157,7 @@ def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> 
         for key, lit, plan in turn(number):
             start = time.perf_counter()
             drawn[key] = render_frame(lit, view, plan)
-            if number >= 2:  # the first ones compile, allocate, and draw the map that is kept
+            if number >= 2:  # the first turns compile, allocate, and draw the map that is cached
                 times.setdefault(key, []).append(time.perf_counter() - start)
     rows = {}
     for key, milliseconds in times.items():
@@ -171,7 +175,7 @@ def frames_of_sizes(repeats: int, map_sizes: Sequence[int], **settings: Any) -> 
 
 
 def ridges(folder: Path) -> Scene:
-    """Mountains of 24 x 24 km, seen from a summit over houses and more than 20 km of ground."""
+    """Return mountains of 24 x 24 km, seen from a summit over houses and more than 20 km of ground."""
     trimesh.creation.box(extents=(12.0, 9.0, 8.0)).export(folder / "house.obj")
     rng, eye = np.random.default_rng(1), np.array(EYE_M)
     ahead = -eye / np.linalg.norm(eye)
@@ -191,7 +195,7 @@ def ridges(folder: Path) -> Scene:
 
 
 def cascades() -> list[Row]:
-    """Errors of four cascades and of one map in the same memory."""
+    """Measure the errors of four cascades and of one map in the same memory."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         scene_and_view = ridges(Path(folder))
@@ -213,7 +217,7 @@ def cascades() -> list[Row]:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A view, and what its shadows fall on and are thrown by, in its bands: pixels and samples of pixels as in a frame."""
+    """A view with its receivers and casters, in bands: pixels and sub-pixel samples as in a frame."""
 
     scene: Scene
     view: PerspectiveView
@@ -221,11 +225,11 @@ class Shot:
     bands: list[tuple[MultisampledBuffer, Casters]]
 
     def visibility(self, plan: Plan, log: PassLog) -> list[np.ndarray]:
-        """What the plan's algorithms say of the one light, band by band."""
+        """Return the visibility of the one light by the plan's algorithms, band by band."""
         return [self._of_band(picture, casters, plan, log) for picture, casters in self.bands]
 
     def dark(self, visibility: list[np.ndarray]) -> np.ndarray:
-        """Where pixels are in shadow (rows, cols), attached shadow among it; False off the surface."""
+        """Return which pixels are in shadow (rows, cols), attached shadow included; False off the surface."""
         rows = [
             picture.own.valid & ((each[: picture.rows] < 0.5) | attached(picture.own, self.scene, *self.scene.light_names))
             for each, (picture, _) in zip(visibility, self.bands, strict=True)
@@ -234,7 +238,7 @@ class Shot:
 
     @property
     def valid(self) -> np.ndarray:
-        """Where there is a surface (rows, cols)."""
+        """The mask of pixels with a surface (rows, cols)."""
         return np.concatenate([picture.own.valid for picture, _ in self.bands])
 
     def _of_band(self, picture: MultisampledBuffer, casters: Casters, plan: Plan, log: PassLog) -> np.ndarray:
@@ -243,7 +247,7 @@ class Shot:
 
 
 def shot(level: str, name: str, size: tuple[int, int]) -> Shot:
-    """A perspective view of a bundled level, which has one light."""
+    """Return a perspective view of a bundled level, which has one light."""
     scene = build_scene(load_level(find_level(level)))
     view = scene.view("main" if name == IN_SHADOW else name, size=size)
     assert isinstance(view, PerspectiveView)
@@ -253,12 +257,12 @@ def shot(level: str, name: str, size: tuple[int, int]) -> Shot:
 
 
 def thesis(given: argparse.Namespace) -> list[Row]:
-    """All algorithms in the main views of the thesis's scenes."""
+    """Measure all algorithms in the main views of the thesis's scenes."""
     return [row for level in given.scenes or SCENES for row in _in_turns(level, "main", RIVALS, given)]
 
 
 def stencil(given: argparse.Namespace) -> list[Row]:
-    """Ways of counting volumes."""
+    """Measure the ways of counting volumes."""
     levels = given.scenes or [level for level in SCENES if _scene(level) in STENCIL_VIEWS]
     shots = [(level, name) for level in levels for name in STENCIL_VIEWS.get(_scene(level), ("main",))]
     return [row for level, name in shots for row in _in_turns(level, name, COUNTING_VARIANTS, given)]
@@ -270,8 +274,10 @@ def _scene(level: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """What runs cost that took turns: milliseconds of each repeat by run and by ``redrawn`` and ``kept``, in all and by pass, the
-    last redrawn turn's passes, and where shadow was then.
+    """Times of runs that took turns.
+
+    They hold the milliseconds of each repeat by run and by ``redrawn`` and ``kept``, in total and by pass; the passes of the last
+    redrawn turn; and its shadow.
     """
 
     times_ms: dict[tuple[str, str], list[float]]
@@ -281,7 +287,7 @@ class Turns:
 
 
 def turns(runs: dict[str, tuple[Shot, Plan]], repeats: int, clock: Callable[[], float] = time.perf_counter) -> Turns:
-    """Let views with plans take turns, forwards and backwards by turns."""
+    """Let views with plans take turns, forwards and backwards alternately."""
     found = Turns({}, {}, {}, {})
     for number in range(repeats + 2):
         for key in [*runs][:: 1 if number % 2 else -1]:
@@ -290,7 +296,7 @@ def turns(runs: dict[str, tuple[Shot, Plan]], repeats: int, clock: Callable[[], 
             for how in ("redrawn", "kept"):
                 log, start = PassLog(), clock()
                 visibility = view_shot.visibility(plan, log)
-                if number >= 2:  # the first ones compile and allocate
+                if number >= 2:  # the first turns compile and allocate
                     found.times_ms.setdefault((key, how), []).append(1000.0 * (clock() - start))
                     passes_ms = {record.name.split(": ")[1]: record.ms for record in log.records.values()}
                     found.passes_ms.setdefault((key, how), []).append(passes_ms)
@@ -300,13 +306,13 @@ def turns(runs: dict[str, tuple[Shot, Plan]], repeats: int, clock: Callable[[], 
 
 
 def plans_of(its: Shot, asked: dict[str, dict[str, Any]]) -> dict[str, Plan]:
-    """The plans of what is asked for."""
+    """Return the plans of the named overrides."""
     descriptor = describe(its.scene, its.view, "main")
     return {key: make_plan(descriptor, its.scene.loaded.level, overrides) for key, overrides in asked.items()}
 
 
 def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: argparse.Namespace) -> list[Row]:
-    """A row for each of what is asked; ratios are to the first."""
+    """Return a row for each plan; ratios are to the first."""
     view_shot = shot(level, name, given.size)
     plans = plans_of(view_shot, asked)
     runs = {key: (view_shot, plan) for key, plan in plans.items()}
@@ -333,7 +339,7 @@ def _in_turns(level: str, name: str, asked: dict[str, dict[str, Any]], given: ar
 
 
 def targets(rows: Sequence[Row]) -> list[Row]:
-    """The targets, met or not, as far as rows hold them. What is redrawn counts; kept stands beside it."""
+    """Evaluate the targets as far as rows hold them. ``redrawn`` decides; ``kept`` is shown beside it."""
     row_by_key = {(row["scene"], row["view"], row["row"]): row for row in rows if "differs" in row}
     found = []
     for scene, view, one, other, word, most in TARGETS:
@@ -351,7 +357,7 @@ def targets(rows: Sequence[Row]) -> list[Row]:
 
 
 def ratios(rows: Sequence[Row]) -> list[Row]:
-    """A line for each view: the ratio of each row as redrawn, and as kept."""
+    """Return a line for each view: the ratio of each row as redrawn, and as cached."""
     lines: dict[tuple[str, str], Row] = {}
     for row in rows:
         if "differs" in row:
@@ -373,7 +379,7 @@ MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
 
 
 def table(rows: list[Row]) -> str:
-    """Rows as a Markdown table; what is no number or word is left to the JSON."""
+    """Return rows as a Markdown table of their numbers and words; the JSON has the rest."""
     keys = [key for key, value in rows[0].items() if isinstance(value, int | float | str)]
     lines = [keys, ["---"] * len(keys), *([_cell(row[key]) for key in keys] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"

@@ -1,17 +1,17 @@
-"""What big rasters cost: time to open them, memory of a render process, time of a metatile, of ``skugga shade``, and far shadows.
+"""Costs of big rasters: time to open, memory of a render process, time of a metatile and of ``skugga shade``, distant shadows.
 
     python -m benchmarks.big_elevation FOLDER [--raster ../shared/data/mountain/bigtujunga_30m_utm11.tif] [--only worker ...]
 
-FOLDER takes 6 GB: COGs of 2,500, 10,000 and 40,000 cells a side and a virtual raster of 100,000 (``benchmarks.big_rasters``), which
-are made where they are not there, and stay. The overviews of the virtual raster are made as by ``skugga overviews``.
+FOLDER takes 6 GB: COGs of 2,500, 10,000 and 40,000 cells a side and a virtual raster of 100,000 (``benchmarks.big_rasters``). They
+are made if absent, and remain. The overviews of the virtual raster are those of ``skugga overviews``.
 
-**open**: a level and its scene, in a fresh process. **worker**: a render process, warmed up as the service does it, and the peak
-of its memory (``VmHWM``) over one block of 16 tiles, a fresh process for each zoom; the block's time is that of the first one.
-**flat**: seconds of CPU a block of 1, 4, 16 and 64 blocks round the middle, whose ground is forgotten before each repeat: side
-by side, where they share the ground beside them, and far apart. **sizes**: the same of the block in the middle, of rasters of all
-sizes over the same ground. **shade**: squares of the virtual raster, as by ``skugga shade --bounds``. **far**: where a mountain's
-shadow ends under a sun that is 2 degrees high 60 km away from it, in tiles of all zooms and in ``shade``'s grid. Each is a process
-of its own; medians, and from the least to the greatest.
+**open**: a level and its scene, in a fresh process. **worker**: a render process, warmed up as in the service, and its peak memory
+(``VmHWM``) over one block of 16 tiles, with a fresh process for each zoom; the block's time is that of the first block. **flat**:
+CPU seconds a block for 1, 4, 16 and 64 blocks round the middle, whose ground is evicted before each repeat: adjacent, so that they
+share the ground beside them, and far apart. **sizes**: the same for the middle block of rasters of all sizes over the same ground.
+**shade**: squares of the virtual raster, as by ``skugga shade --bounds``. **far**: where a mountain's shadow ends 60 km away under
+a sun at 2 degrees, in tiles of all zooms and in ``shade``'s grid. Each measurement has a process of its own; figures are medians
+with minimum and maximum.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from skugga.api.request import ProductRequest
 from skugga.api.workers.jobs import BlockJob, LevelKey, Tiles
 from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.warm_up import warm_up
-from skugga.api.workers.worker_state import WorkerState, tiles_view
+from skugga.api.workers.worker_state import WorkerState, representative_block
 from skugga.selector.select import plan_of_view
 from skugga.shadows.render import render_frame
 from skugga.terrain.cache import clear_caches
@@ -53,22 +53,22 @@ MERCATOR_SET = "WebMercatorQuad"
 BLOCK_COUNTS = 1, 4, 16, 64
 SUN = SunSpec(azimuth=113.0, altitude=30.0)
 APART = {"together": 1, "apart": 4}
-"""Blocks from one to the next: those apart share no ground, so that each pays for all of the ground beside it."""
+"""Distances between blocks: blocks far apart share no ground, so that each pays for all of the ground beside it."""
 
 FAR_KM = 60.0
 KIB_A_MIB = 1024
 SQUARES_KM = 30.0, 120.0, 240.0
-"""Sides of what is shaded."""
+"""Sides of the shaded squares."""
 
 
 def status_mib(name: str) -> float:
-    """A figure of this process's memory, MiB: ``VmRSS`` (now) or ``VmHWM`` (its peak)."""
+    """Return a figure of this process's memory, MiB: ``VmRSS`` (now) or ``VmHWM`` (its peak)."""
     lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
     return int(next(line for line in lines if line.startswith(f"{name}:")).split()[1]) / KIB_A_MIB
 
 
 def forget_peak() -> None:
-    """Let ``VmHWM`` be the peak from now on."""
+    """Reset the peak ``VmHWM``."""
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
@@ -77,7 +77,7 @@ def key_of(raster: Path) -> LevelKey:
 
 
 def zooms_of(scene: Scene) -> dict[str, int]:
-    """The zooms at which a level is looked at, by what they are."""
+    """Return the zooms of a level that are measured, by label."""
     assert scene.bounds_lon_lat is not None
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     served = zoom_range(matrix_sets.get(MERCATOR_SET), scene.world, scene.bounds_lon_lat, cell_m)
@@ -87,15 +87,15 @@ def zooms_of(scene: Scene) -> dict[str, int]:
 
 
 def block_job(scene: Scene, raster: Path, zoom: int, down: int = 0, right: int = 0) -> BlockJob:
-    """The block at the middle of a level, or so many further on."""
-    view = tiles_view(scene, Tiles(matrix_set=MERCATOR_SET, zoom=zoom))
+    """Return the block at the middle of a level, or at an offset of blocks from it."""
+    view = representative_block(scene, Tiles(matrix_set=MERCATOR_SET, zoom=zoom))
     row, col = int(view.row0) // BLOCK_PX + down, int(view.col0) // BLOCK_PX + right
     request = ProductRequest(sun=SUN)
     return BlockJob(level=key_of(raster), matrix_set=MERCATOR_SET, zoom=zoom, block_x=col, block_y=row, tiles=4, request=request)
 
 
 def opened(raster: Path) -> dict[str, float]:
-    """Time and memory of a level and its scene."""
+    """Measure time and memory of a level and its scene."""
     before_mib, start = status_mib("VmRSS"), time.perf_counter()
     loaded = load_level(raster)
     level_s = time.perf_counter() - start
@@ -108,7 +108,7 @@ def opened(raster: Path) -> dict[str, float]:
 
 
 def worked(raster: Path, zoom: str) -> dict[str, float | str]:
-    """A render process's memory before and over its first block of a zoom, and the block's time."""
+    """Measure a render process's memory before and over its first block of a zoom, and the block's time."""
     state = WorkerState(warm_up())
     idle_mib = status_mib("VmRSS")
     scene = build_scene(load_level(raster))
@@ -123,7 +123,7 @@ def worked(raster: Path, zoom: str) -> dict[str, float | str]:
 
 
 def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int, apart: int = 1) -> float:
-    """Seconds of CPU a block of so many round the middle over ground not seen before; what the whole level shares is there."""
+    """Return CPU seconds a block, for ``count`` blocks round the middle over new ground; data of the whole level is cached."""
     scene = state.scenes.get(key_of(raster))
     side = int(np.sqrt(count))
     first = -(side // 2)
@@ -138,7 +138,7 @@ def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int, apart:
 
 
 def counted(raster: Path, apart: int, repeats: int) -> dict[str, list[float]]:
-    """Seconds a block of different numbers of them."""
+    """Return CPU seconds a block for different numbers of blocks."""
     state = WorkerState(warm_up())
     zoom = zooms_of(state.scenes.get(key_of(raster)))["own"]
     timed_blocks(raster, state, zoom, 4)
@@ -146,7 +146,7 @@ def counted(raster: Path, apart: int, repeats: int) -> dict[str, list[float]]:
 
 
 def sized(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
-    """Seconds of the middle block of rasters of all sizes, in turns."""
+    """Return CPU seconds of the middle block of rasters of all sizes, in turns."""
     state = WorkerState(warm_up())
     zoom = zooms_of(state.scenes.get(key_of(rasters[0])))["own"]
     found: dict[str, list[float]] = {}
@@ -159,7 +159,7 @@ def sized(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
 
 
 def shaded(raster: Path, side_km: float) -> dict[str, float]:
-    """``skugga shade`` of a square round the middle of a raster: CPU of a block, all of the time, and the process's peak."""
+    """Run ``skugga shade`` for a square round the middle of a raster; measure CPU a block, total time and peak memory."""
     start = time.perf_counter()
     scene = build_scene(load_level(raster)).with_sun(SUN)
     half = side_km * 500.0
@@ -179,7 +179,7 @@ def shaded(raster: Path, side_km: float) -> dict[str, float]:
 
 
 def far_shadow(raster: Path) -> dict[str, str]:
-    """Where the mountain's shadow ends along its middle, km from its top, tile by tile and in ``shade``'s grid.
+    """Return where the mountain's shadow ends along its middle, km from its top, tile by tile and in ``shade``'s grid.
 
     The anchor is 60 km west of the mountain, where the sun is 2 degrees high.
     """
@@ -211,7 +211,7 @@ def far_shadow(raster: Path) -> dict[str, str]:
 
 
 def _shadow_end(scene: Scene, grid: Grid, far: dict[float, tuple[float, float]]) -> str:
-    """Between which distances, km, along a line of places the ground turns from shadow to sun."""
+    """Return the distances, km, between which a line of places changes from shadow to sun."""
     lit, (lon, lat) = {}, np.array(list(far.values())).T
     x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(lon, lat)
     plan = None
@@ -236,7 +236,7 @@ CASES: dict[str, Case] = {
     "shade": lambda rasters, of, _: shaded(rasters[-1], float(of)),
     "far": lambda rasters, _, __: far_shadow(rasters[-1]),
 }
-"""What a process measures, by name; which rasters, of what, how often."""
+"""Measurements of a process by name, with their rasters and repeats."""
 
 WHICH: dict[str, tuple[str, ...]] = {
     "open": ("2", "3"),
@@ -249,7 +249,7 @@ WHICH: dict[str, tuple[str, ...]] = {
 
 
 def in_a_process(args: argparse.Namespace, case: str, of: str) -> Any:
-    """What a fresh process measures."""
+    """Run a measurement in a fresh process."""
     command = [sys.executable, "-m", "benchmarks.big_elevation", str(args.folder), "--case", case, "--of", of]
     done = subprocess.run([*command, "--repeats", str(args.repeats)], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -258,7 +258,7 @@ def in_a_process(args: argparse.Namespace, case: str, of: str) -> Any:
 
 
 def told(figures: Any) -> str:
-    """Figures in a line."""
+    """Format figures in a line."""
 
     def one(value: Any) -> str:
         if isinstance(value, list):

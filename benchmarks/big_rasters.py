@@ -1,11 +1,11 @@
 """Rasters of 2,500 to 100,000 cells a side over the same real relief, made in a folder for ``benchmarks.big_elevation``.
 
-A raster of mountains, mirrored, becomes a *sheet* of ``SHEET`` cells a side that fits on to itself on all sides. Every raster
-repeats it with the same cell of it in the middle, at one place of one CRS: what is round the middle is the same ground in all.
+A mirrored raster of mountains becomes a *sheet* of ``SHEET`` cells a side that tiles seamlessly. Every raster repeats it with the
+same cell in the middle, at one place of one CRS: all rasters have the same ground round the middle.
 
-Up to 40,000 cells a side these are COGs. The one of 100,000 is a virtual raster of 2,377 parts, each a file of its own (hard links,
-so that the disk holds their cells once); 24 more are left out (sparse). ``skugga overviews`` gives it its overviews. In one of its
-corners lies a plain with one mountain.
+Up to 40,000 cells a side these are COGs. The one of 100,000 is a virtual raster of 2,377 parts, each a file (hard links, so that
+the disk holds their cells once); 24 more parts are absent (sparse). ``skugga overviews`` makes its overviews. One of its corners is
+a plain with one mountain.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from rasterio.enums import Resampling
 from skugga.api.raster_file import cog
 
 SHEET = 2048
-"""Cells a side of a sheet: a power of two, so that cells of all its overviews meet those of its neighbours."""
+"""Cells a side of a sheet: a power of two, so that the cells of all its overviews align with those of its neighbours."""
 
 CELL_M = 30.0
 EPSG = 32611
 MIDDLE_XY = 500_000.0, 3_800_000.0
-"""Where the middle of every raster lies."""
+"""The middle of every raster."""
 
 VRT_CELLS = 100_000
 COG_SIDES = 2_500, 10_000, 40_000
@@ -39,18 +39,18 @@ PARTS = -(-VRT_CELLS // SHEET)
 NODATA = -32768
 PLAIN_M, MOUNTAIN_M = 500, 4000
 PLAIN_PARTS, MOUNTAIN_PART = (slice(4, 9), slice(4, 9)), (6, 7)
-"""Rows and columns of the parts that are a plain, and the one whose middle is the mountain's foot."""
+"""Rows and columns of the parts that are a plain, and of the part whose middle is the mountain's foot."""
 
 MOUNTAIN_SIGMA_CELLS = 60.0
 HOLES = slice(30, 34), slice(40, 46)
-"""Rows and columns of the parts that are left out."""
+"""Rows and columns of the absent parts."""
 
 STRIP_ROWS = 1024
 
 
 @dataclass(frozen=True)
 class BigRaster:
-    """A raster that was made: its file, cells a side, and how long that took, seconds (0: it was there)."""
+    """A raster: its file, its cells a side, and the seconds that it took (0: it existed)."""
 
     path: Path
     side: int
@@ -58,7 +58,7 @@ class BigRaster:
 
 
 def sheet_of(raster: Path) -> np.ndarray:
-    """A sheet (SHEET, SHEET) of int16 metres from a raster's first band, mirrored and repeated: it fits on to itself."""
+    """Return a seamless sheet (SHEET, SHEET) of int16 metres: a raster's first band, mirrored and repeated."""
     with rasterio.open(raster) as dataset:
         heights = dataset.read(1, masked=True)[8:-8, 8:-8].astype(np.float64)
     quarter = np.ma.filled(heights, heights.mean())
@@ -71,13 +71,13 @@ def sheet_of(raster: Path) -> np.ndarray:
 
 
 def transform_of(side: int) -> Affine:
-    """The geotransform of a raster of so many cells a side round the middle."""
+    """Return the geotransform of a raster of ``side`` cells round the middle."""
     half_m = side / 2 * CELL_M
     return Affine(CELL_M, 0.0, MIDDLE_XY[0] - half_m, 0.0, -CELL_M, MIDDLE_XY[1] + half_m)
 
 
 def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
-    """A COG of so many cells a side, deflated, with overviews; written strip by strip."""
+    """Write a COG of ``side`` cells, deflated, with overviews, strip by strip."""
     path, start = folder / f"relief_{side}.tif", time.perf_counter()
     if path.is_file():
         return BigRaster(path, side, 0.0)
@@ -100,20 +100,20 @@ def _write_sheet(path: Path, sheet: np.ndarray) -> None:
 
 
 def mountain_m() -> np.ndarray:
-    """The mountain's sheet: a round hill on the plain."""
+    """Return the mountain's sheet: a round hill on the plain."""
     away = np.arange(SHEET) - SHEET / 2 + 0.5
     bell = np.exp(-(away[:, None] ** 2 + away[None, :] ** 2) / (2.0 * MOUNTAIN_SIGMA_CELLS**2))
     return np.rint(PLAIN_M + MOUNTAIN_M * bell).astype(np.int16)
 
 
 def mountain_xy() -> tuple[float, float]:
-    """Where the mountain's top is, in the rasters' CRS."""
+    """Return the mountain's top in the rasters' CRS."""
     row, col = ((index + 0.5) * SHEET for index in MOUNTAIN_PART)
     return transform_of(VRT_CELLS) * (col, row)
 
 
 def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
-    """The virtual raster of ``VRT_CELLS`` a side."""
+    """Write the virtual raster of ``VRT_CELLS`` a side."""
     path, start = folder / f"relief_{VRT_CELLS}.vrt", time.perf_counter()
     if path.is_file():
         return BigRaster(path, VRT_CELLS, 0.0)
@@ -155,12 +155,12 @@ def _within(part: tuple[slice, slice], row: int, col: int) -> bool:
 
 
 def make_rasters(folder: Path, raster: Path) -> list[BigRaster]:
-    """All of them, in order of size; those that are there stay."""
+    """Make all rasters, in order of size; existing ones remain."""
     folder.mkdir(parents=True, exist_ok=True)
     sheet = sheet_of(raster)
     return [*(make_cog(folder, sheet, side) for side in COG_SIDES), make_vrt(folder, sheet)]
 
 
 def paths_in(folder: Path) -> list[Path]:
-    """Where the rasters of a folder are, in order of size."""
+    """Return the paths of a folder's rasters, in order of size."""
     return [*(folder / f"relief_{side}.tif" for side in COG_SIDES), folder / f"relief_{VRT_CELLS}.vrt"]

@@ -1,9 +1,9 @@
-"""How long blocks of tiles take that are drawn once, as seeding draws them: CPU time of this process, by passes.
+"""Time of blocks of tiles that are drawn once, as in seeding: CPU time of this process, by passes.
 
     taskset -c 0 python -m benchmarks.cold_blocks FILE --zoom 13     # a raster or a level; on one core, as a render process has it
 
-The blocks of a pyramid that come first are drawn, in several rounds. Before each all is forgotten but what the very first block
-leaves behind, which is not counted; the round that took the least CPU time counts.
+It draws the first blocks of a pyramid in several rounds. Before each round it clears all caches except the entries of the very
+first block, which does not count. The result is the round with the least CPU time.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ TILES, CPU, ENCODING = "tiles", "CPU of the block", "encoding"
 
 
 def drawn(scene: Scene, run: PlannedRun, task: Task) -> Counter[str]:
-    """Draw a task's block: milliseconds by passes, of encoding and in all (CPU), and how many tiles show data."""
+    """Draw a task's block; return CPU milliseconds by passes, of encoding and in total, and the number of tiles with data."""
     view, request = block_of_grid(tile_grid(matrix_sets.get(MATRIX_SET), task.zoom), task.x, task.y), run.spec.request(task.sun)
     begin = time.process_time()
     picture = draw_picture(scene, view, request.record, run.spec.plan_by_place[task.sun, task.zoom])
@@ -51,7 +51,7 @@ def drawn(scene: Scene, run: PlannedRun, task: Task) -> Counter[str]:
 
 
 def main() -> None:
-    """Draw blocks, and print what they took."""
+    """Draw blocks, and print their times."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("level")
     parser.add_argument("--zoom", type=int, required=True)

@@ -1,6 +1,6 @@
-"""What compiling costs until a product is there for the first time: CPU seconds of each loop, and of numba's own helpers.
+"""Cost of compiling until the first product: CPU seconds of each loop, and of numba's own helpers.
 
-`python -m benchmarks.start --compile` calls this module in a fresh process whose compiled loops nobody keeps yet.
+`python -m benchmarks.start --compile` calls this module in a fresh process without a cache of compiled loops.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WOODED_LEVEL = ROOT / "configs" / "jacksboro_wooded.yaml"
 
 SIDE, CELL_M = 400, 30.0
-"""The bare raster: 12 x 12 km of fractal mountains in UTM zone 11, with a hole."""
+"""The plain raster: 12 x 12 km of fractal mountains in UTM zone 11, with a hole."""
 
 OUR_PACKAGES = "skugga", "benchmarks"
 YARDSTICK_ROUNDS = 3
@@ -68,7 +68,7 @@ class Compilation:
 
 @dataclass
 class Profile(event.Listener):
-    """Adds up the CPU time of compiler passes, by loop and signature."""
+    """The CPU time of compiler passes, by loop and signature."""
 
     done: list[Compilation] = field(default_factory=list)
     _state: local = field(default_factory=local)
@@ -79,7 +79,7 @@ class Profile(event.Listener):
         return self._state.stack
 
     def on_start(self, event: Any) -> None:
-        """A pass begins, maybe while one of a caller runs."""
+        """Begin a pass, possibly nested in one of a caller."""
         stack = self._stack()
         siblings = self._state.siblings[-1]
         module, name = event.data["module"], event.data["qualname"]
@@ -93,7 +93,7 @@ class Profile(event.Listener):
         stack.append([siblings[key], time.thread_time(), 0.0])
 
     def on_end(self, event: Any) -> None:
-        """The innermost pass ends."""
+        """End the innermost pass."""
         stack = self._stack()
         self._state.siblings.pop()
         made, begin, within = stack.pop()
@@ -107,9 +107,9 @@ class Profile(event.Listener):
 
 
 def yardstick_s() -> float:
-    """CPU seconds of compiling a fixed small loop: the median of some rounds."""
+    """Return CPU seconds of compiling a fixed small loop: the median of some rounds."""
     seconds = []
-    for number in range(YARDSTICK_ROUNDS + 1):  # the first one reads numba in
+    for number in range(YARDSTICK_ROUNDS + 1):  # the first round imports numba's modules
         source = _yardstick_loop(number)
         begin = time.process_time()
         source(np.zeros((4, 4)), 1.0)
@@ -132,7 +132,7 @@ def _yardstick_loop(number: int) -> Callable[[np.ndarray, float], float]:
 
 
 def bare_raster(folder: Path) -> Path:
-    """Write the bare raster; its file."""
+    """Write the plain raster; return its file."""
     heights = mountains(SIDE)
     heights[100:120, 200:230] = -9999.0
     path = folder / "mountains.tif"
@@ -183,11 +183,11 @@ PRODUCTS: dict[str, Callable[[str, Path], None]] = {
     "point": _command("point", "{file}", "--at", "-118.05,34.28", "--time", "2024-03-21T15:00:00-08:00"),
     "render": _command("render", "{file}", "-o", "{folder}/view.png", "--size", "400x300"),
 }
-"""What is made: a first tile after a render process has started, or the files and the answer of a command."""
+"""Products: a first tile after a render process has started, or the files and the answer of a command."""
 
 
 def profile_of(product: str, file: str | None) -> dict[str, Any]:
-    """Make a product once in a fresh process with an empty cache of compiled loops; what was compiled."""
+    """Make a product once in a fresh process with an empty cache of compiled loops; return the compilations."""
     with tempfile.TemporaryDirectory() as folder:
         if file is None:
             file = str(WOODED_LEVEL if product == "render" else bare_raster(Path(folder)))
@@ -209,7 +209,7 @@ def _measure(product: str, file: str, folder: str, answer: str) -> None:
 
 
 def table_of(product: str, found: dict[str, Any], rows: int) -> list[str]:
-    """The profile as lines of text: the sum, our loops by their own time, numba's helpers by theirs."""
+    """Format the profile: the sum, this project's loops by their own time, numba's helpers by theirs."""
     made = [Compilation(**each) for each in found["loops"]]
     ours, helpers = [each for each in made if each.is_ours], [each for each in made if not each.is_ours]
     own, front = (sum(getattr(each, what) for each in made) for what in ("own_s", "front_s"))

@@ -1,12 +1,12 @@
-"""Shadow algorithms beside one another: what each draws in some views, and where it is wrong, on one sheet.
+"""Contact sheet of the shadow algorithms: each algorithm's picture of some views, and its errors.
 
     python -m benchmarks.contact_sheet [-o docs/images/algorithms.webp] [--width 400] [--most 1500] [--repeats 3]
                                        [--columns boxgrid rocks ...] [--rows shadow_map hybrid ...] [--json FILE] [--markdown FILE]
 
-A row an algorithm, a column a view: the picture, and beside it its errors against ray-traced truth, false shadow red, missed shadow
-blue. Pictures are drawn as wide as they are shown, ``width`` pixels. Below each stand ``wrong_cast``, the 95th percentile of how
-far shadow edges are off, and the median milliseconds of the shadow's own work with everything redrawn. What an algorithm
-refuses, it says.
+Rows are algorithms, columns are views. A cell shows the picture and its errors against ray-traced truth, false shadow red, missed
+shadow blue. Pictures are drawn at their display width, ``width`` pixels. Below each stand ``wrong_cast``, the 95th percentile of
+the displacement of shadow edges, and the median milliseconds of the shadow's own work with everything redrawn. If an algorithm
+refuses a view, the cell shows its message.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SHEET_ALGORITHMS: dict[str, dict[str, Any]] = {
     "hybrid": {"algorithm": "hybrid"},
     "hybrid original": {"algorithm": "hybrid", "mask": "original"},
 }
-"""Rows: what is asked for."""
+"""Rows: overrides by name."""
 
 VIEWS = {
     "boxgrid": ("thesis_boxgrid_sun", "close"),
@@ -61,7 +61,7 @@ FAULT = (740_900.0, 4_021_000.0, 748_900.0, 4_027_400.0)
 """West, south, east and north, metres in UTM zone 16, of the map of Jacksboro: the fault's ridge and the hills west of it."""
 
 RIDGES = (-84.16, 36.21333, 120.0), (-84.20, 36.25333, 0.0), 45.0
-"""Eye, target and field of view, degrees, of a look over the ridges and valleys of the Jacksboro fault."""
+"""Eye, target and field of view, degrees, of a view over the ridges and valleys of the Jacksboro fault."""
 
 FIGURES = ("wrong_cast", "false_shadow", "missed_shadow", "interior", "coverage", "boundary", "edge_p95", "ms_median")
 
@@ -73,7 +73,7 @@ QUALITIES = range(90, 9, -5)
 
 @dataclass(frozen=True)
 class SheetCell:
-    """An algorithm in a view: its picture and its errors, none where it refuses, figures, and what is to be said of it."""
+    """An algorithm in a view: its picture and its errors (none where it refuses), figures, and its caption."""
 
     pictures: tuple[Image.Image, Image.Image] | None
     figures: dict[str, float]
@@ -81,7 +81,7 @@ class SheetCell:
 
 
 def view_of(scene: Scene, name: str, size: tuple[int, int]) -> MapView | PerspectiveView:
-    """A view of a level, or one of the two of Jacksboro."""
+    """Return a view of a level, or one of the two of Jacksboro."""
     if name == "map":
         return scene.view(name, bounds=FAULT, size=size)
     if name != "ridges":
@@ -92,7 +92,7 @@ def view_of(scene: Scene, name: str, size: tuple[int, int]) -> MapView | Perspec
 
 
 def column(level: str, name: str, asked: Sequence[str], size: tuple[int, int], repeats: int) -> Iterator[SheetCell]:
-    """The cells of a view, one for each algorithm."""
+    """Return the cells of a view, one for each algorithm."""
     scene = build_scene(load_level(find_level(level)))
     view = view_of(scene, name, size)
     descriptor = describe(scene, view, "map" if name == "map" else "main")
@@ -112,7 +112,7 @@ def column(level: str, name: str, asked: Sequence[str], size: tuple[int, int], r
 
 
 def sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns: Sequence[str], width: int) -> Image.Image:
-    """All cells, by row and column, under their names."""
+    """Draw all cells, by row and column, under their names."""
     height = round(width / ASPECT)
     step_x, step_y = 2 * width + GAP_PX, SHEET_HEAD_PX + height + FOOT_PX + GAP_PX
     page = Image.new("RGB", (len(columns) * step_x + GAP_PX, len(rows) * step_y + GAP_PX), PAPER)
@@ -134,7 +134,7 @@ def sheet(cells: dict[tuple[str, str], SheetCell], rows: Sequence[str], columns:
 
 
 def sheet_bytes(page: Image.Image, suffix: str, max_bytes: int) -> bytes:
-    """The page as PNG, or as WebP in the best quality that keeps it within a size; in the least one if none does."""
+    """Encode the page as PNG, or as WebP in the best quality within a size; in the lowest quality if none fits."""
     for quality in QUALITIES:
         buffer = BytesIO()
         page.save(buffer, suffix.removeprefix("."), quality=quality, method=6)
@@ -144,7 +144,7 @@ def sheet_bytes(page: Image.Image, suffix: str, max_bytes: int) -> bytes:
 
 
 def table(cells: dict[tuple[str, str], SheetCell]) -> str:
-    """``wrong_cast`` in per cent and ``edge_p95`` in pixels as a Markdown table: a line a view, a column an algorithm."""
+    """Return ``wrong_cast`` in per cent and ``edge_p95`` in pixels as a Markdown table: a line a view, a column an algorithm."""
     rows, columns = list(dict.fromkeys(key for key, _ in cells)), list(dict.fromkeys(name for _, name in cells))
     lines = [["view", *rows], ["---"] * (1 + len(rows))]
     for name in columns:

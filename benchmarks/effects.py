@@ -1,31 +1,30 @@
-"""What effects cost, and what leaving them out saves: ratios within one run, for milliseconds do not travel between machines.
+"""Cost of effects, and savings of leaving them out: ratios within one run, for milliseconds do not compare between machines.
 
     python -m benchmarks.effects levels [--levels jacksboro ...] [--repeats 5] [--json FILE] [--markdown FILE]
     python -m benchmarks.effects plain [--repeats 5] [--json FILE] [--markdown FILE]
     python -m benchmarks.effects blocks [--repeats 5] [--json FILE] [--markdown FILE]
     python -m benchmarks.effects each [--effects haze ...] [--repeats 5] [--json FILE] [--markdown FILE]
 
-`levels` draws the bundled levels' main views, and the map where there is relief: the plan's frame against the frame with all
-effects forced on, taking turns. Forced on are those effects that the level's own weather calls for as well as those that it does
-not: there is no snow or haze to draw in a level that names none, so what is saved there is what their code costs in vain.
+`levels` draws the bundled levels' main views, and the map where there is relief. The plan's frame and the frame with all effects
+forced on take turns. Forced effects include those that the level's weather does not call for. A level without snow or haze has none
+to draw, so the saving is the cost of their code without any effect.
 
-`plain` draws a plain at noon without trees, as a map and as a camera sees it, against a frame made without any code of effects or
-plans: geometry, attached shadow and shading alone, and a frame's data layers. Both are the same picture to the bit. The target is
-for the frame with its plan; ``all on`` is the ratio of a frame with all effects forced on.
+`plain` draws a plain at noon without trees, as a map and as a camera sees it. Its reference is a frame made without any code of
+effects or plans: geometry, attached shadow and shading alone, and a frame's data layers. Both pictures are identical to the bit.
+The target applies to the frame with its plan; ``all on`` is the ratio of a frame with all effects forced on.
 
-`blocks` draws blocks of tiles anywhere on bundled levels of bare ground, ``--repeats`` of each zoom and sun, as the map service
-does: with all that their plans list, and as they are drawn, without what a block provably does not need. It counts the blocks that
-went without ground outside of them and without the sweep, and those in which these changed nothing; the pictures are the same to
-the bit.
+`blocks` draws random blocks of tiles on bundled levels of terrain only, ``--repeats`` of each zoom and sun, as the map service
+does: with all steps of their plans, and as they are drawn, without steps that a block provably does not need. It counts the blocks
+that skipped outside ground and the sweep, and those in which these changed nothing; the pictures are identical to the bit.
 
 `each` draws a scene that calls for an effect, with it and without it. ``ms/Mpx`` is its own pass, ``of shading`` that as a ratio to
-the frame's pass of shading, ``facts_ms`` what the plan spends on its facts; shadows have no pass of their own, and theirs is the
-frame's ratio alone. Effects with a pass are drawn without cast shadows, beside which they would hardly show in the frame's ratio.
+the frame's pass of shading, ``facts_ms`` the plan's time for its facts. Shadows have no pass of their own: they have the frame's
+ratio only. Effects with a pass are drawn without cast shadows, beside which they would hardly show in the frame's ratio.
 
-Whole frames are timed by the CPU time of all threads (llvmpipe draws with several), which a machine's other work disturbs little;
-``wall`` is the same ratio by the clock on the wall. Passes and facts are one thread's work, timed by the wall and compared in one
-frame. Before every frame all shadow maps kept from the one before are forgotten. The first round, which compiles and bakes what
-a level keeps (as the horizons of ``sky_view``), does not count. All figures are medians.
+Whole frames are timed by the CPU time of all threads (llvmpipe draws with several), which other load on the machine disturbs
+little; ``wall`` is the same ratio by wall time. Passes and facts are one thread's work, timed by the wall and compared in one
+frame. Every frame starts without cached shadow maps. The first round, which compiles and bakes the level's caches (such as the
+horizons of ``sky_view``), does not count. All figures are medians.
 """
 
 from __future__ import annotations
@@ -77,14 +76,14 @@ SIDE_PX, CELL_M, WAVE_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
 """The plain: cells a side and a map's pixels, their size, and the length and height of the waves of its ground."""
 
 MAX_PLAIN = 1.15
-"""What a plain at noon may take at most, as a ratio to a frame without any code of effects."""
+"""The largest ratio of a plain at noon to a frame without any code of effects."""
 
 SIZE = [800, 500]
 
 RIDGE = {"kind": "perspective", "eye": [-84.12, 36.18333, 900], "target": [-84.22, 36.27333, 0], "fov": 34, "size": SIZE}
 LAKE = {"kind": "perspective", "eye": [-84.093, 36.19133, 320], "target": [-84.17, 36.20533, 0], "fov": 34, "size": SIZE}
 WINDOW = {"kind": "map", "crs": "EPSG:32616", "bounds": [735_900, 4_008_200, 755_900, 4_020_700], "size": SIZE}
-"""Views of the Jacksboro fault: over its ridges, over what a lake would fill, and from above."""
+"""Views of the Jacksboro fault: over its ridges, over its valley as a lake, and from above."""
 
 EVENING = {"azimuth": 250, "altitude": 15}
 
@@ -99,7 +98,7 @@ JACKSBORO: dict[EffectName, dict[str, Any]] = {
     "water": {"water": {"level": 311}},
     "haze": {"weather": {"visibility": 45_000}},
 }
-"""What calls for an effect on the Jacksboro fault."""
+"""Keys that call for an effect on the Jacksboro fault."""
 
 ELSEWHERE: dict[EffectName, tuple[str, str]] = {
     "alpha_test": ("jacksboro_wooded", "valley"),
@@ -107,14 +106,14 @@ ELSEWHERE: dict[EffectName, tuple[str, str]] = {
     "crowns": ("jacksboro_wooded", "valley"),
     "ground_detail": ("jacksboro_wooded", "village"),
 }
-"""Bundled levels, and their views, that call for others."""
+"""Bundled levels, and their views, that call for other effects."""
 
 BARE = ("jacksboro", "jacksboro_alpine")
 COUNTED = ("outside", "no outside", "outside in vain", "sweep", "no sweep", "sweep in vain")
-"""Blocks whose plans list ground outside, those that went without it, those in which it changed nothing; and so of the sweep."""
+"""Blocks whose plans list outside ground, those that skipped it, those in which it changed nothing; and the same for the sweep."""
 
 BLOCK_ZOOMS, BLOCK_SUNS_DEG = (13, 15, 17), (8.0, 20.0, 35.0, 50.0)
-"""Levels, zooms and suns of blocks of bare ground: from about the raster's resolution to a sixteenth of it."""
+"""Levels, zooms and suns of blocks of terrain only: from about the raster's resolution to a sixteenth of it."""
 
 Row = dict[str, Any]
 T = TypeVar("T")
@@ -122,8 +121,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class TimedFrame:
-    """What ran in a frame, its passes with their milliseconds by the wall, and milliseconds of all threads: its plan's, and both
-    together; ``wall_ms`` is their time by the wall. The frame itself is let go, so that the next one finds its memory.
+    """A frame's passes with their wall milliseconds, and the CPU milliseconds of all threads: its plan's, and both together.
+
+    ``wall_ms`` is their wall time. It does not hold the frame itself, so that the next frame can reuse its memory.
     """
 
     effects: frozenset[EffectName]
@@ -134,7 +134,7 @@ class TimedFrame:
 
 
 def planned(scene: Scene, view: MapView | PerspectiveView, name: str) -> TimedFrame:
-    """A frame that pays for all that it needs, its plan among it."""
+    """Draw a frame that pays for all its work, its plan included."""
     clear_caches("light")
     wall, start = time.perf_counter(), time.process_time()
     plan = make_plan(describe(scene, view, name), scene.loaded.level)
@@ -146,14 +146,14 @@ def planned(scene: Scene, view: MapView | PerspectiveView, name: str) -> TimedFr
 
 
 def timed(work: Callable[..., object], *of: object) -> float:
-    """Milliseconds that all threads spend on something."""
+    """Return the milliseconds of all threads for a call."""
     start = time.process_time()
     work(*of)
     return 1000.0 * (time.process_time() - start)
 
 
 def interleaved(repeats: int, *works: Callable[[], T]) -> list[list[T]]:
-    """What each returns, time after time; who begins takes turns, and the first round does not count."""
+    """Return the results of each function, round by round; they alternate in starting, and the first round does not count."""
     results: list[list[T]] = [[] for _ in works]
     for number in range(repeats + 1):
         for which in [*range(len(works))][:: 1 if number % 2 else -1]:
@@ -164,14 +164,14 @@ def interleaved(repeats: int, *works: Callable[[], T]) -> list[list[T]]:
 
 
 def forced(scene: Scene, effects: dict[EffectName, str]) -> Scene:
-    """The same scene in a level that forces effects."""
+    """Return the same scene in a level that forces effects."""
     own_level = scene.loaded.level
     level = own_level.model_copy(update={"effects": {**({} if own_level.effects == "auto" else own_level.effects), **effects}})
     return replace(scene, loaded=scene.loaded.model_copy(update={"level": level}))
 
 
 def levels(given: argparse.Namespace) -> list[Row]:
-    """The plan's frame against the frame with all effects on."""
+    """Compare the plan's frame with the frame with all effects on."""
     rows = []
     for path in [find_level(name) for name in given.levels] or bundled_levels():
         scene = build_scene(load_level(path))
@@ -196,7 +196,7 @@ def levels(given: argparse.Namespace) -> list[Row]:
 
 
 def plain(given: argparse.Namespace) -> list[Row]:
-    """A plain at noon, against geometry, attached shadow and shading alone."""
+    """Compare a plain at noon with geometry, attached shadow and shading alone."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         scene = flat_land(Path(folder))
@@ -221,7 +221,7 @@ def plain(given: argparse.Namespace) -> list[Row]:
 
 
 def flat_land(folder: Path) -> Scene:
-    """A plain with decimetres of relief in UTM, under a clear sky at noon."""
+    """Return a plain with decimetres of relief in UTM, under a clear sky at noon."""
     y, x = np.mgrid[0:SIDE_PX, 0:SIDE_PX] * (2.0 * np.pi * CELL_M / WAVE_M)
     heights = (100.0 + 0.5 * RELIEF_M * np.sin(x) * np.sin(y)).astype(np.float32)
     transform = Affine(CELL_M, 0.0, 500_000.0, 0.0, -CELL_M, 5_300_000.0)
@@ -236,8 +236,9 @@ def flat_land(folder: Path) -> Scene:
 
 
 def bare_frame(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarray]:
-    """Colours, visibility, heights and, in perspective, places of a view, as in a ``Frame``, by geometry, attached shadow and
-    shading: no cast shadows, no effects.
+    """Return colours, visibility, heights and, in perspective, places of a view, as in a ``Frame``.
+
+    It draws geometry, attached shadow and shading only: no cast shadows, no effects.
     """
     blocks = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     arrays: list[np.ndarray] = []
@@ -266,7 +267,7 @@ def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarra
 
 
 def blocks(given: argparse.Namespace) -> list[Row]:
-    """Blocks of tiles with all that their plans list, and as they are drawn."""
+    """Compare blocks of tiles with all steps of their plans, and as they are drawn."""
     random, rows = np.random.default_rng(0), []
     for name in given.levels or BARE:
         base = build_scene(load_level(find_level(name)))
@@ -294,7 +295,7 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
     if "cast_shadows" not in plans[0].runs:
         return
     shown, ms = {}, {}
-    for name, plan in ({"first": plans[0], "drawn": plans[0], "alone": plans[1]}).items():  # the first one reads the ground
+    for name, plan in ({"first": plans[0], "drawn": plans[0], "alone": plans[1]}).items():  # the first draw reads the ground
         clear_caches("light")
         start = time.process_time()
         shown[name] = _drawn_block(scene, view, plan)
@@ -320,7 +321,7 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
 
 
 def _drawn_block(scene: Scene, view: MapView, plan: Plan) -> Picture:
-    """Draw a block as ``skugga.shadows.draw`` does. It is one block wherever it lies; ``draw`` would cut it from up to four."""
+    """Draw a block as ``skugga.shadows.draw`` does, as one block wherever it lies; ``draw`` would cut it from up to four."""
     if heights_suffice(scene, view, plan, SHADED):
         log = PassLog()
         picture = ground_picture(apply_refraction(scene, plan, log), view, plan, SHADED, log)
@@ -330,7 +331,7 @@ def _drawn_block(scene: Scene, view: MapView, plan: Plan) -> Picture:
 
 
 def each(given: argparse.Namespace) -> list[Row]:
-    """Every effect by itself, where it is called for."""
+    """Measure every effect by itself, in scenes that call for it."""
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         for effect in given.effects or get_args(EffectName):
@@ -342,7 +343,7 @@ def each(given: argparse.Namespace) -> list[Row]:
 
 
 def _calling(effect: EffectName, folder: Path) -> Iterator[tuple[Scene, str]]:
-    """Scenes and names of their views that call for an effect, if such a view can."""
+    """Yield scenes and names of their views that call for an effect, if such a view can."""
     if effect in ELSEWHERE:
         level, name = ELSEWHERE[effect]
         yield build_scene(load_level(find_level(level))), name
@@ -376,7 +377,7 @@ def _with_and_without(effect: EffectName, scene: Scene, name: str, repeats: int)
 
 
 def facts_ms(scene: Scene, view: MapView | PerspectiveView) -> dict[EffectName, float]:
-    """Milliseconds that effects' facts take in one description."""
+    """Return the milliseconds of effects' facts in one description."""
     with _facts_timed() as milliseconds:
         describe(scene, view)
     return milliseconds
@@ -384,7 +385,7 @@ def facts_ms(scene: Scene, view: MapView | PerspectiveView) -> dict[EffectName, 
 
 @contextmanager
 def _facts_timed() -> Iterator[dict[EffectName, float]]:
-    """Effects whose facts put the milliseconds that they take on record."""
+    """Record the milliseconds of effects' facts."""
     milliseconds: dict[EffectName, float] = {}
     untimed = dict(EFFECTS)
 
@@ -409,7 +410,7 @@ def _median(values: Iterable[float]) -> float:
 
 
 def _ratio(some: Sequence[TimedFrame], others: Sequence[TimedFrame], key: str) -> float:
-    """The median of the ratios of one round's frames."""
+    """Return the median of the ratios of frames of the same round."""
     return _median(getattr(one, key) / getattr(other, key) for one, other in zip(some, others, strict=True))
 
 
@@ -422,7 +423,7 @@ MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
 
 
 def table(rows: list[Row]) -> str:
-    """Rows as a Markdown table; what is no number or word is left to the JSON."""
+    """Return rows as a Markdown table of their numbers and words; the JSON has the rest."""
     keys = [key for key, value in rows[0].items() if isinstance(value, int | float | str)]
     lines = [keys, ["---"] * len(keys), *([_cell(row[key]) for key in keys] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"

@@ -1,4 +1,4 @@
-"""What ``benchmarks.frames`` measured, as targets met or missed and as Markdown tables."""
+"""Results of ``benchmarks.frames`` as targets met or missed and as Markdown tables."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 Row = dict[str, Any]
-"""A frame's costs as ``benchmarks.frame_worker`` says them."""
+"""A frame's costs as ``benchmarks.frame_worker`` reports them."""
 
 Rows = dict[str, list[Row]]
-"""Side -> its rows, one a turn; the sides' rows of one place in the lists were drawn one after the other."""
+"""Side -> its rows, one a turn; rows at the same index of the lists were drawn one after the other."""
 
 NOW, BASE, YARDSTICK = "now", "before", "yardstick"
 
@@ -22,13 +22,13 @@ MOVES = {
     "resting": "nothing",
     "all new": "all is new",
 }
-"""What is different from the frame before, by the names of the measurements."""
+"""Changes since the previous frame, by the names of the measurements."""
 
 BEGIN, END = "<!-- frames: what follows is written by python -m benchmarks.frames -->", "<!-- frames: up to here -->"
 
 
 class FrameKey(NamedTuple):
-    """A kind of frame: the picture, the plan's name, and what has moved."""
+    """A kind of frame: the picture, the plan's name, and the change since the previous frame."""
 
     picture: str
     plan: str
@@ -36,7 +36,7 @@ class FrameKey(NamedTuple):
 
 
 class Target(NamedTuple):
-    """A figure that was asked for, and what was found; one that does not count stands beside another that does."""
+    """A target and the measured figure; one that does not count stands beside another that does."""
 
     what: str
     most: float
@@ -47,35 +47,35 @@ class Target(NamedTuple):
 
     @property
     def met(self) -> bool:
-        """Whether the wall clock (or what else ``wall`` is) says so."""
+        """Whether the wall time (or the other figure in ``wall``) meets the target."""
         return self.wall <= self.most
 
     @property
     def line(self) -> str:
-        """One line of text."""
+        """Return one line of text."""
         cpu = "" if self.cpu is None else f" (CPU time {self.cpu:.2f})"
         word = "beside" if not self.counts else "met   " if self.met else "MISSED"
         return f"{word} {self.what}: {self.wall:.2f}{self.unit}{cpu}, at most {self.most:g}{self.unit}"
 
 
 def paired_ratio(ours: Sequence[Row], theirs: Sequence[Row], value: str = "ms") -> float:
-    """The median of the ratios of two lists of rows that were drawn in turns: the machine's other work is in both of a turn."""
+    """Return the median of the ratios of two lists of rows that were drawn in turns: other load affects both rows of a turn."""
     return statistics.median(one[value] / other[value] for one, other in zip(ours, theirs, strict=True))
 
 
 def median_of(rows: Sequence[Row], value: str) -> float:
-    """The median of a value of some rows."""
+    """Return the median of a value of some rows."""
     return float(statistics.median(row[value] for row in rows))
 
 
 def median_passes(rows: Sequence[Row]) -> dict[str, float]:
-    """Milliseconds of each pass, medians, in the order of the first frame."""
+    """Return milliseconds of each pass, medians, in the order of the first frame."""
     names = list(dict.fromkeys(name for row in rows for name in row["passes_ms"]))
     return {name: statistics.median(row["passes_ms"].get(name, 0.0) for row in rows) for name in names}
 
 
 def frame_targets(frames: dict[FrameKey, Rows], firsts: dict[str, Rows]) -> list[Target]:
-    """The targets of which something was measured."""
+    """Return the targets that have measurements."""
     found: list[Target] = []
 
     def add(what: str, most: float, ours: Sequence[Row] | None, theirs: Sequence[Row] | None, counts: bool = True) -> None:
@@ -116,7 +116,7 @@ def frame_targets(frames: dict[FrameKey, Rows], firsts: dict[str, Rows]) -> list
 def as_markdown(
     result: dict[str, Any], frames: dict[FrameKey, Rows], firsts: dict[str, Rows], differences: dict[FrameKey, Row]
 ) -> str:
-    """All tables. ``differences`` are those of pictures from the other commit's."""
+    """Format all tables. ``differences`` compare pictures with the other commit's."""
     parts = [
         f"{result['renderer']}, {result['cpus']} CPU cores, load {result['load']:.1f}, {result['repeats']} turns; before: "
         f"{result['base'] or 'not measured'}.",
@@ -130,7 +130,7 @@ def as_markdown(
 
 
 def put_between_marks(text: str, table: str) -> str:
-    """A page with what stands between its marks replaced. Raises ``ValueError`` where it has none."""
+    """Replace the text between a page's marks. Raises ``ValueError`` if it has none."""
     pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
     if not pattern.search(text):
         raise ValueError(f"no marks: {BEGIN} ... {END}")
@@ -187,7 +187,7 @@ def _frame_table(frames: dict[FrameKey, Rows], differences: dict[FrameKey, Row])
 
 
 def _sameness(differs: Row | None) -> list[str]:
-    """How many frames have the same colours and the same visibilities, and how the last one differs."""
+    """Return how many frames have the same colours and the same visibilities, and the difference of the last frame."""
     if differs is None:
         return ["", ""]
     color = f"; {differs['pixels']} pixels differ, by up to {differs['most']}" if differs["most"] else ""

@@ -1,11 +1,10 @@
-"""A process that draws frames of one view and says what they cost: of the packages that its ``PYTHONPATH`` names.
+"""A process that draws frames of one view and reports their costs, with the packages in its ``PYTHONPATH``.
 
     python -P benchmarks/frame_worker.py LEVEL VIEW WIDTHxHEIGHT OVERRIDES
 
-It is started by ``benchmarks.frames``, once for this checkout and once for each other that it is held against, and so it
-imports nothing of the benchmarks before it is asked for the yardstick, and of the packages only what older ones have, too.
-LEVEL is a bundled level's name or a file, OVERRIDES a JSON object: name of a plan -> what is asked of it. Each line that it
-reads is a JSON object with ``do``:
+``benchmarks.frames`` starts it, once for this checkout and once for each reference checkout. It therefore imports nothing of the
+benchmarks before a ``yardstick`` request, and from the packages only modules that older checkouts have, too. LEVEL is a bundled
+level's name or a file, OVERRIDES a JSON object: name of a plan -> its overrides. Each input line is a JSON object with ``do``:
 
 ``plan``
     make the plans, each of the view as it stands;
@@ -15,9 +14,9 @@ reads is a JSON object with ``do``:
 ``yardstick``
     draw the same by ``benchmarks.yardstick``, with a depth map of ``map_size`` texels (0: none) and ``taps``;
 ``save``
-    write the picture drawn last to ``path``, a PNG file, or with its visibilities (n, rows, cols) a NumPy file.
+    write the last picture to ``path``, a PNG file, or with its visibilities (n, rows, cols) a NumPy file.
 
-For each it answers a line: a JSON object of what that cost.
+The answer to each is a line with a JSON object of its costs.
 """
 
 from __future__ import annotations
@@ -52,26 +51,26 @@ from skugga.terrain.scene import Scene, build_scene  # noqa: E402
 IMPORTED = time.perf_counter()
 
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
-"""Places number n are shares n * GOLDEN, less whole ones, of the ways below: never one twice, and none near the one before."""
+"""Place number n is the fraction of n * GOLDEN along the ways below: places never repeat, and successive ones are never near."""
 
 SUN_WAY_DEG, SUN_WAY_MIN = 4.0, 16.0
-"""What the sun moves along: azimuths from the level's own on, or minutes where the level has a time. From one place to the next it
-goes two fifths of it at least, as it does in a film of a day in steps of six minutes and more.
+"""The sun's range: azimuths from the level's own on, or minutes where the level has a time. Successive places differ by at
+least two fifths of it, as in a film of a day in steps of six minutes and more.
 """
 
 CAMERA_WAY_M = 3.0
-"""What the camera moves along, to its right: steps of 1.1 to 1.9 m."""
+"""The camera's range, to its right: steps of 1.1 to 1.9 m."""
 
 
 class Costs:
-    """What is counted while a frame is drawn."""
+    """Counters of one frame."""
 
     def __init__(self) -> None:
         self.reads, self.read_bytes, self._within = 0, 0, 0
 
     @contextmanager
     def read(self, array: Any) -> Iterator[None]:
-        """A read-back; those that one makes are not counted again."""
+        """Count a read-back; calls nested in it do not count again."""
         self._within += 1
         try:
             yield
@@ -86,7 +85,7 @@ COSTS = Costs()
 
 
 def count_reads() -> None:
-    """Count all that comes back from OpenGL from now on, by whatever call of moderngl's or PyOpenGL's."""
+    """Count all read-backs from OpenGL from now on, by any call of moderngl or PyOpenGL."""
     from OpenGL import GL
 
     kinds = ("Framebuffer", "Texture", "TextureArray", "Texture3D", "TextureCube", "Buffer")
@@ -107,14 +106,14 @@ def _counted(call: Any) -> Any:
 
 
 class Place:
-    """The level's sun and view, and others of them by number."""
+    """The level's sun and view, and variants of them by number."""
 
     def __init__(self, scene: Scene, view: PerspectiveView) -> None:
         self.scene, self.view = scene, view
         self._moved: dict[int, Scene] = {0: scene}
 
     def under(self, number: int) -> Scene:
-        """The scene under the sun of a number; 0: its own."""
+        """Return the scene under the sun of a number; 0: its own."""
         if number not in self._moved:
             sun, share = self.scene.sun, number * GOLDEN % 1.0
             assert sun is not None
@@ -122,11 +121,11 @@ class Place:
                 spec = SunSpec(time=sun.time + timedelta(minutes=SUN_WAY_MIN * share))
             else:
                 spec = SunSpec(azimuth=sun.azimuth_deg + SUN_WAY_DEG * share, altitude=sun.altitude_deg)
-            self._moved = {0: self.scene, number: self.scene.with_sun(spec)}  # frames under one sun are of one scene, as in a film
+            self._moved = {0: self.scene, number: self.scene.with_sun(spec)}  # frames under one sun share a scene, as in a film
         return self._moved[number]
 
     def seen_from(self, number: int) -> PerspectiveView:
-        """The view from the place of a number; 0: its own."""
+        """Return the view from the place of a number; 0: its own."""
         if number == 0:
             return self.view
         right = self.view.earth_from_camera[:, 0]
@@ -163,7 +162,7 @@ class Worker:
         if asked.get("clear"):
             clear_caches(*asked["clear"])
         scene, view = self.place.under(asked.get("sun", 0)), self.place.seen_from(asked.get("camera", 0))
-        self.picture, self.visibility = None, self.visibility[:0]  # the last one goes before the next is made, as in a service
+        self.picture, self.visibility = None, self.visibility[:0]  # releases the last frame before the next, as a service does
         COSTS.reads, COSTS.read_bytes = 0, 0
         wall, cpu = time.perf_counter(), time.process_time()
         with record_draw_calls() as calls:
@@ -207,7 +206,7 @@ class Worker:
 
 
 def profile_digest(arrays: list[np.ndarray]) -> str:
-    """What tells some arrays from others."""
+    """Return a digest that identifies arrays."""
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -215,17 +214,17 @@ def profile_digest(arrays: list[np.ndarray]) -> str:
 
 
 def peak_gb() -> float:
-    """The most memory that this process has held, in 10^9 bytes. (``getrusage`` would count what started it.)"""
+    """Return the peak memory of this process in 10^9 bytes. (``getrusage`` would include the parent's.)"""
     with open("/proc/self/status", encoding="ascii") as status:
         (line,) = (line for line in status if line.startswith("VmHWM:"))
     return 1024.0 * float(line.split()[1]) / 1e9
 
 
 def main() -> None:
-    """Answer lines until there are no more."""
+    """Answer lines until the input ends."""
     level, view, size, overrides = sys.argv[1:]
     width, height = (int(side) for side in size.split("x"))
-    answers, sys.stdout = sys.stdout, sys.stderr  # whatever is printed is no answer
+    answers, sys.stdout = sys.stdout, sys.stderr  # printed text is no answer
     worker = Worker(level, view, (width, height), json.loads(overrides))
     count_reads()
     ready = {"import_ms": 1000.0 * (IMPORTED - STARTED), "scene_ms": worker.built_ms}

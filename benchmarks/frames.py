@@ -1,41 +1,39 @@
-"""What frames of perspective views cost, beside a minimal renderer of the same scene and beside another commit.
+"""Cost of frames of perspective views, compared with a minimal renderer of the same scene and with another commit.
 
     python -m benchmarks.frames [--base FOLDER] [--pictures SpatialAce valley ...] [--repeats 15] [--json FILE] [--markdown FILE]
 
-All that is compared is drawn in turns, each side in a process of its own: this checkout, ``--base``, which is a clone of
-another commit, and the yardstick (``benchmarks/yardstick.py``): the same ground, meshes and trees, camera and sun, forward,
-with Lambert's cosine and one colour of sky, without shadows and with a depth map of 512 x 512 texels of 16 bits that is drawn
-anew for each frame, compared in one texel or in 3 x 3 of them. All of it is uploaded before, and each picture is read back
-within the clock. Ratios are medians of those of frames that were drawn one after the other; by the wall clock and by the CPU
-time of all threads. Only ratios of one run are worth comparing. The target is held against the yardstick with one tap, which is
-what our own plan has there; lines that say "beside" are no targets.
+All sides draw in turns, each in a process of its own: this checkout; ``--base``, a clone of another commit; and the yardstick
+(``benchmarks/yardstick.py``). The yardstick is a forward renderer with the same ground, meshes and trees, camera and sun, with
+Lambert's cosine and one colour of sky. It draws without shadows, and with a depth map of 512 x 512 texels of 16 bits, redrawn for
+each frame, that is compared in one texel or in 3 x 3. All its data is uploaded before, and each picture is read back within the
+timed section. Ratios are medians of the ratios of successive frames, by wall time and by the CPU time of all threads. Only ratios
+of one run are comparable. The target is a ratio to the yardstick with one tap, which our own plan has there; lines with "beside"
+are no targets.
 
-Pictures: the SpatialAce level's ``main`` at 800 x 600 as planned (by the rules that plan on a device without a calibration, as
-``skugga render`` does there), by ``shadow_map`` alone and without cast shadows; the views ``valley`` and ``village`` of the
-wooded level at 1280 x 1024 and 10 x 10 km under a million trees from 60 m above the ground at 800 x 600, as planned. Plans are
-made once, outside of the clock, from the level's own view and sun, as for a film; what a plan for another place costs is told
-below the frames.
+Pictures: the SpatialAce level's ``main`` at 800 x 600 as planned (by the rules for a device without a calibration, as in ``skugga
+render``), by ``shadow_map`` alone and without cast shadows; the views ``valley`` and ``village`` of the wooded level at 1280 x 1024
+and 10 x 10 km under a million trees from 60 m above the ground at 800 x 600, as planned. Plans are made once, outside the timed
+section, from the level's own view and sun, as for a film. The cost of a plan for another place is shown below the frames.
 
-What moves from one frame to the next:
+Changes from one frame to the next:
 
 ``new``
-    the sun by 1.5 or 2.5 degrees and the camera by 1.1 or 1.9 m, to places where they never were: nothing that was made from
-    either is there. What is kept is what follows from the level alone: its nodes, meshes, trees, leaves, programs.
+    the sun moves by 1.5 or 2.5 degrees and the camera by 1.1 or 1.9 m, to new places: no cache holds anything for either.
+    Caches hold only data of the level: its nodes, meshes, trees, leaves, programs.
 ``sun``, ``camera``
-    one of them. All that was made for the other one in the frame before may be kept, in the caches of ``skugga.terrain.cache`` that
-    last as long as ``light`` (what a moving sun makes anew) and as ``scene``, and on the device.
+    one of them moves. Data of the other one may be cached from the previous frame, on the device and in the caches of
+    ``skugga.terrain.cache`` with the lifetimes ``light`` (invalid when the sun moves) and ``scene``.
 ``resting``
-    nothing: the same frame again.
+    nothing changes: the same frame again.
 ``all new``
-    the caches of ``light`` and ``scene`` are emptied before the same frame: what follows from the level's files is made anew,
-    too.
+    the caches of ``light`` and ``scene`` are emptied before the same frame: data of the level's files is made again, too.
 
-With ``--base``, each frame's colours and visibilities are held against those of the other commit, bit by bit; where they
-differ, the number of pixels that do, and of those that are lit in one alone, is that of the last frame.
+With ``--base``, each frame's colours and visibilities are compared with those of the other commit, bit by bit. Where they differ,
+the report shows the number of differing pixels, and of those that are lit in one only, of the last frame.
 
-A first frame is that of a process just started, numba's cache full: the level is loaded, the plan is made, the frame is drawn;
-then five new views are planned and drawn. What counts is the frame; the time until it is there, with its plan, stands beside
-it. Peak memory is that of a whole process that plans and draws new frames of the million trees.
+A first frame is that of a new process with a full numba cache: load the level, make the plan, draw the frame; then plan and draw
+five new views. The target applies to the frame; the time to the frame with its plan stands beside it. Peak memory is that of a
+whole process that plans and draws new frames of the million trees.
 """
 
 from __future__ import annotations
@@ -71,9 +69,7 @@ FIRST_REPEATS, WARM_AFTER_FIRST = 3, 5
 
 @dataclass(frozen=True)
 class Picture:
-    """A view to draw, and by which plans: name -> what is asked of it, and what moves under it; and how many turns that takes for
-    each of the SpatialAce level's.
-    """
+    """A view to draw, its plans (name -> overrides and the changes to measure), and the share of the SpatialAce level's turns."""
 
     level: str
     view: str
@@ -98,14 +94,14 @@ PICTURES = {
 
 
 class Side:
-    """A process that draws one picture's frames, of the code in a folder."""
+    """A process that draws one picture's frames with the code in a folder."""
 
     def __init__(self, process: subprocess.Popen[str], said: IO[bytes]) -> None:
         self._process, self._said = process, said
         self.ready = self._answer()
 
     def ask(self, do: str, **asked: Any) -> Row:
-        """Let it do something, and say what that cost. Raises ``RuntimeError`` where it cannot."""
+        """Send a request, and return its costs. Raises ``RuntimeError`` if it fails."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps({"do": do, **asked}) + "\n")
@@ -126,7 +122,7 @@ class Side:
 
 @contextmanager
 def side(folder: Path, picture: Picture, level: str) -> Iterator[Side]:
-    """A side, until it is no longer needed."""
+    """Run a side as a context manager."""
     size = f"{picture.size[0]}x{picture.size[1]}"
     command = [sys.executable, "-P", str(WORKER), level, picture.view, size, json.dumps(picture.plans)]
     with tempfile.TemporaryFile() as said:
@@ -145,8 +141,8 @@ def side(folder: Path, picture: Picture, level: str) -> Iterator[Side]:
 
 @dataclass
 class Found:
-    """What was measured: rows by kind of frame and side, plans by picture and side, first frames by picture and side, how pictures
-    differ from those of the other commit, and the machine's load.
+    """Measurements: rows by kind of frame and side, plans and first frames by picture and side, differences from the other
+    commit's pictures, and the machine's load.
     """
 
     frames: dict[FrameKey, Rows] = field(default_factory=dict)
@@ -158,7 +154,7 @@ class Found:
 
 
 def in_turns(name: str, picture: Picture, level: str, folders: dict[str, Path], turns: int, found: Found) -> None:
-    """Draw a picture's frames: every kind by every side in each turn, the sides forwards and backwards by turns."""
+    """Draw a picture's frames: every kind by every side in each turn, the sides in alternating order."""
     with ExitStack() as stack:
         sides = {each: stack.enter_context(side(folder, picture, level)) for each, folder in folders.items()}
         drawers = {each: its for each, its in sides.items() if each != YARDSTICK}
@@ -194,7 +190,7 @@ def in_turns(name: str, picture: Picture, level: str, folders: dict[str, Path], 
 
 
 def _difference(rows: Rows, drawers: dict[str, Side], folder: Path) -> Row:
-    """How many of the frames have the same colours and visibilities on both sides, and how those of the last one differ."""
+    """Return how many frames have the same colours and visibilities on both sides, and the difference of the last frame."""
     same = {
         what: sum(one[what] == other[what] for one, other in zip(rows[NOW], rows[BASE], strict=True))
         for what in ("color", "visibility")
@@ -210,17 +206,17 @@ def _difference(rows: Rows, drawers: dict[str, Side], folder: Path) -> Row:
 
 
 def _places(move: str, number: int, before: tuple[int, int]) -> tuple[int, int]:
-    """Numbers of the places of sun and camera in a frame after one."""
+    """Return the place numbers of sun and camera in the next frame."""
     return number if move in ("new", "sun") else before[0], number if move in ("new", "camera") else before[1]
 
 
 def _keep(found: Found, key: FrameKey, each: str, row: Row, turn: int) -> None:
-    if turn:  # the first one compiles and allocates
+    if turn:  # the first turn compiles and allocates
         found.frames.setdefault(key, {}).setdefault(each, []).append(row)
 
 
 def first_frames(name: str, picture: Picture, level: str, folders: dict[str, Path], found: Found) -> None:
-    """First frames of fresh processes, one side after the other."""
+    """Measure first frames of fresh processes, one side after the other."""
     for _ in range(FIRST_REPEATS):
         for each, folder in folders.items():
             with side(folder, picture, level) as its:
@@ -236,7 +232,7 @@ def first_frames(name: str, picture: Picture, level: str, folders: dict[str, Pat
 
 
 def measure(given: argparse.Namespace) -> Found:
-    """All that is asked for."""
+    """Measure all requested pictures."""
     found = Found()
     folders = {NOW: ROOT} | ({BASE: given.base.resolve()} if given.base else {})
     with tempfile.TemporaryDirectory() as folder:
@@ -260,7 +256,7 @@ def _commit(folder: Path) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, and say what was found."""
+    """Measure, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--base", type=Path, help="a clone of another commit")
     parser.add_argument("--pictures", nargs="+", choices=tuple(PICTURES), default=list(PICTURES))

@@ -3,8 +3,8 @@
     python -m benchmarks.map_accuracy FOLDER [--algorithm shadow_map] [--map-size 4096] [--filter 1] [--pixels 400]
                                       [--markdown FILE]
 
-Every raster below FOLDER that is a terrain or a surface is drawn at its own resolution (at most ``--pixels`` a side, from its
-middle), steepest first by the 95th percentile of slope. Truth is over the drawn triangles, of the sweep as of all others.
+Every terrain or surface raster below FOLDER is drawn at its own resolution (at most ``--pixels`` a side, from its middle), steepest
+first by the 95th percentile of slope. Truth applies to the drawn triangles, for the sweep as for all others.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""List the messages of all errors, warnings and log lines as they stand in the source, by kind.
+"""List the messages of all errors, warnings and log lines in the source, by kind.
 
     python -m benchmarks.messages                # all
     python -m benchmarks.messages InputError     # of one kind
 
-Each line has the file, the line and the texts of a call; expressions stand in braces. A reader of the list finds messages that
-break the rule "NAME: problem. Remedy." sooner than a user does.
+Each line has the file, the line and the texts of a call; expressions stand in braces. The list shows messages that break the rule
+"NAME: problem. Remedy." before a user sees them.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Perspective shadow maps beside shadow maps of the same size: errors against truth, and times as ratios within one run.
+"""Perspective shadow maps and shadow maps of the same size: errors against truth, and times as ratios within one run.
 
     python -m benchmarks.perspective_maps errors [LEVEL ...] [--size 640 512] [--map-size 1024] [--filter 3] [--json FILE]
     python -m benchmarks.perspective_maps times [LEVEL ...] [--size 1280 1024] [--map-size 1024] [--repeats 40] [--json FILE]
 
-The levels are those of the thesis unless named, with all their perspective views. `errors`: one map each, the shadow map fitted
-``tight`` and ``stable``. `times`: the map drawn anew and looked up, the two taking turns; ratios of medians, bytes beside them.
+The default levels are those of the thesis, with all their perspective views. `errors`: one map each, the shadow map fitted
+``tight`` and ``stable``. `times`: the map is redrawn and looked up, the two taking turns; ratios of medians, with bytes.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from skugga.terrain.scene import Scene, build_scene
 LEVELS = [f"thesis_{name}{sun}" for name in ("rocks", "street", "boxgrid", "room", "water_tower") for sun in ("", "_sun")]
 
 FITS = ("tight", "stable")
-"""Of the shadow map."""
+"""Fits of the shadow map."""
 
 Row = dict[str, Any]
 
 
 def views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene, str, PerspectiveView]]:
-    """The perspective views of levels."""
+    """Yield the perspective views of levels."""
     for name in levels:
         scene = build_scene(load_level(find_level(name)))
         for view_name, spec in scene.loaded.level.views.items():
@@ -50,7 +50,7 @@ def views(levels: list[str], size: tuple[int, int]) -> Iterator[tuple[str, Scene
 
 
 def plans(scene: Scene, view: PerspectiveView, name: str, map_size: int, taps: int) -> dict[str, Plan]:
-    """The plans to compare: all with one map of a size and the same taps and depths."""
+    """Return the plans to compare: all with one map of a size and the same taps and depths."""
     descriptor, level = describe(scene, view, name), scene.loaded.level
     overrides = {"map_size": map_size, "filter": taps, "depth_bits": 24 if descriptor.highest_sun_deg is not None else 32}
     maps = {fit: make_plan(descriptor, level, {**overrides, "algorithm": "shadow_map", "cascades": 1, "fit": fit}) for fit in FITS}
@@ -85,7 +85,7 @@ def times(given: argparse.Namespace) -> list[Row]:
                 log, start = PassLog(), time.perf_counter()
                 for light in todo[map_name].lights:
                     fill_steps(todo[map_name].steps_under(light), buffer, scene, casters, todo[map_name].runs, log)
-                if number >= 2:  # the first ones compile and allocate
+                if number >= 2:  # the first turns compile and allocate
                     times_by_map.setdefault(map_name, []).append(time.perf_counter() - start)
                 held[map_name] = max(record.bytes for record in log.records.values())
                 notes[map_name] = " ".join(record.note for record in log.records.values()).strip()

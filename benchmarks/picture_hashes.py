@@ -1,10 +1,10 @@
-"""Hashes of every layer of every view of the bundled levels: a change that is to change no picture proves it with these.
+"""Hashes of every layer of every view of the bundled levels: proof that a change alters no picture.
 
     python -m benchmarks.picture_hashes write before.json     # on the commit before
     python -m benchmarks.picture_hashes check before.json     # on the one after: names what differs, exit status 1
 
-Each view is drawn by the rules' own plan and by every algorithm that serves it, with all layers that these leave behind; what an
-algorithm refuses is hashed as the words that it refuses with. Two processes, some ten minutes on two cores of llvmpipe.
+Each view is drawn by the rules' own plan and by every algorithm that serves it, with all layers that these produce. If an algorithm
+refuses a view, the hash covers its message. Two processes take some ten minutes on two cores of llvmpipe.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from skugga.terrain.scene import Scene, build_scene
 AUTO = "auto"
 
 LAYERS = products_with(lambda each: each.pass_layer is None and "perspective" in each.view_kinds)
-"""Products that every frame has."""
+"""Products of every frame."""
 
 
 def hash_of(array: np.ndarray) -> str:
-    """What changes with any bit of an array, its shape or its type."""
+    """Return a hash of an array's bytes, shape and type."""
     digest = hashlib.sha256(f"{array.dtype.str} {array.shape}".encode())
     digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
 
 
 def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[str, str]]:
-    """The hashes of a view's layers, its plan and what it says of casters out of sight; or of what the algorithm refuses with."""
+    """Return the hashes of a view's layers, its plan and its report on casters outside the view; or that of a refusal."""
     view = scene.view(name)
     try:
         plan = make_plan(describe(scene, view, name), scene.loaded.level, {} if algorithm == AUTO else {"algorithm": algorithm})
@@ -66,7 +66,7 @@ def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[st
 
 
 def hashes_of_level(path: Path) -> dict[str, str]:
-    """All hashes of a level, by ``LEVEL/VIEW/ALGORITHM/LAYER``."""
+    """Return all hashes of a level, by ``LEVEL/VIEW/ALGORITHM/LAYER``."""
     found: dict[str, str] = {}
     scene = build_scene(load_level(path))
     for view in scene.loaded.level.views:
@@ -78,14 +78,14 @@ def hashes_of_level(path: Path) -> dict[str, str]:
 
 
 def all_hashes() -> dict[str, str]:
-    """The hashes of all bundled levels, sorted by name."""
+    """Return the hashes of all bundled levels, sorted by name."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
         levels = list(workers.map(hashes_of_level, bundled_levels()))
     return dict(sorted((name, value) for found in levels for name, value in found.items()))
 
 
 def main() -> int:
-    """Write the hashes to a file, or compare with those in it."""
+    """Write the hashes to a file, or compare them with a file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("write", "check"))
     parser.add_argument("file", type=Path)

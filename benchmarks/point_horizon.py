@@ -1,10 +1,10 @@
-"""The sun at points: how long a horizon and a day's report take, cold and warm, and how far they are from rays.
+"""The sun at points: time of a horizon and of a day's report, cold and warm, and agreement with rays.
 
 Usage: ``python -m benchmarks.point_horizon LEVEL [LEVEL ...] [--points 20] [--date 2024-10-21]``. A level is a level file, a raster
-or a bundled level's name. Cold is the first point of a scene that was just opened (loops are compiled before); warm are the other
-points, each of them at another place: medians in milliseconds, by the clock and of computing, which other work on the machine
-disturbs less, and the slowest of computing. The horizon is compared with Embree's rays against a mesh of the raster's own cells, at
-rays that pass 0.02 degrees over and under it.
+or a bundled level's name. Cold is the first point of a newly opened scene (loops are compiled before). Warm are the other points,
+each at another place. Figures are medians in milliseconds, of wall time and of CPU time, which other load disturbs less, and the
+maximum of CPU time. The horizon is compared with Embree's rays against a mesh of the raster's own cells, at rays that pass 0.02
+degrees above and below it.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
 MAX_CELLS = 4_000_000
-"""Largest raster that is compared with rays."""
+"""The largest raster that is compared with rays."""
 
 ASIDE_DEG = 0.02
 
 
 def timed(work: Callable[[], object]) -> tuple[float, float]:
-    """Milliseconds that work takes, and of computing: the same on an idle machine, since one thread does it all."""
+    """Return wall and CPU milliseconds of a call: equal on an idle machine, since it uses one thread."""
     start, computed = time.perf_counter(), time.process_time()
     work()
     return (time.perf_counter() - start) * 1000.0, (time.process_time() - computed) * 1000.0
 
 
 def places_of(scene: Scene, count: int) -> list[tuple[float, float]]:
-    """Coordinates in the raster's CRS of cells with ground, drawn by a seed."""
+    """Return random coordinates, in the raster's CRS, of cells with valid ground; the seed is fixed."""
     rng, elevation, found = np.random.default_rng(7), scene.elevation, []
     while len(found) < count:
         row, col = rng.uniform(0.05, 0.95) * elevation.rows, rng.uniform(0.05, 0.95) * elevation.cols
@@ -57,18 +57,21 @@ def places_of(scene: Scene, count: int) -> list[tuple[float, float]]:
 
 
 def report(scene: Scene, at: tuple[float, float], crs: CRS, day: date) -> None:
-    """What a day's report takes: the place, what stands round it, its day."""
+    """Compute a day's report: the place, its horizon, its day."""
     around = load_surroundings(scene, place_at(scene, at, crs, 1.6))
     sun_day(around, day, clock_of("solar", around.place.lon_deg, day))
 
 
 def whole(scene: Scene, at: tuple[float, float], crs: CRS) -> None:
-    """What a horizon of 720 directions takes."""
+    """Compute a horizon of 720 directions."""
     horizon_profile(load_surroundings(scene, place_at(scene, at, crs, 1.6)))
 
 
 def share_agreeing(scene: Scene, places: list[tuple[float, float]], crs: CRS) -> float:
-    """Share of rays a little over the horizon by ground that meet nothing, and under it that meet something, of Embree's."""
+    """Return the share of rays that agree with the horizon of the ground.
+
+    Embree's rays just above the horizon must hit nothing, and those just below it must hit the ground.
+    """
     ground = paged_relief(scene)
     frame = scene.world.frame_near(ground.grid.crs, scene.world.anchor_x, scene.world.anchor_y)
     sheet = scene.surface(ground.grid).window(0, 0, scene.elevation.rows, scene.elevation.cols, frame).sheet
@@ -106,7 +109,7 @@ def main() -> None:
 
 
 def measured(name: str, count: int, day: date) -> str:
-    """A row of the table."""
+    """Return a row of the table."""
     path = Path(name) if Path(name).exists() else find_level(name)
     scene = build_scene(load_level(path))
     crs = scene.elevation.crs

@@ -1,13 +1,12 @@
-"""What large pyramids cost, from measured figures, and a simulation of many workers.
+"""Cost of large pyramids from measured figures, and a simulation of many workers.
 
     python -m benchmarks.scale measure DATA [--json FILE]    # rates of coordinator, Dask, packing; times of tasks
     python -m benchmarks.scale tell FILE [--workers 1000] [--money 0.04]
 
-``measure`` draws a mosaic of a real raster with one worker (``benchmarks.seed``), and then finds what the parts that are not
-spread over workers can do: the coordinator with its table (tasks that take no time), Dask (the same on a cluster here),
-packing.
-``tell`` prints docs/scale.md's tables from that: hours for a country and for the planet, bytes, money at so much per hour of a
-core, and a run of many workers with stragglers and deaths, simulated task by task from the measured times.
+``measure`` draws a mosaic of a real raster with one worker (``benchmarks.seed``). It then measures the rates of the serial parts:
+the coordinator with its table (tasks without work), Dask (the same on a cluster here), packing. ``tell`` prints docs/scale.md's
+tables from that: hours for a country and for the planet, bytes, money by the price of a core hour, and a run of many workers with
+stragglers and deaths, simulated task by task from the measured times.
 """
 
 from __future__ import annotations
@@ -44,8 +43,9 @@ EARTH_EQUATOR_M = 40_075_016.7
 
 @dataclass(frozen=True)
 class Measured:
-    """Figures of one machine: ``tasks`` with their zoom, seconds, tiles and bytes; tasks a second that the coordinator alone and
-    Dask hand out and note, bytes and tiles a second that are packed.
+    """Figures of one machine: ``tasks`` with their zoom, seconds, tiles and bytes; rates of coordinator, Dask and packing.
+
+    The coordinator alone and Dask have tasks a second, dispatched and recorded; packing has bytes and tiles a second.
     """
 
     tasks: list[tuple[int, float, int, int]]
@@ -58,7 +58,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Place:
-    """What is to be drawn: ground of so many square kilometres about a latitude, to the zoom whose pixels are nearest to cells."""
+    """A pyramid to draw: its area in square kilometres about a latitude, and the zoom whose pixels are nearest to its cells."""
 
     name: str
     area_km2: float
@@ -72,7 +72,7 @@ class Place:
 
     @property
     def tiles(self) -> float:
-        """Tiles of the last zoom and of those before it, which are a third as many."""
+        """Tiles of the last zoom and of those before it, which add a third."""
         side_m = EARTH_EQUATOR_M * np.cos(np.radians(self.latitude_deg)) / 2**self.zoom
         return float(4.0 / 3.0 * self.area_km2 * 1e6 / side_m**2)
 
@@ -87,38 +87,38 @@ TIMES_OF_DAY = 24
 
 
 class Idle:
-    """A runner whose tasks take no time: what is left is the coordinator's own."""
+    """A runner whose tasks take no time: the remaining time is the coordinator's own."""
 
     def __init__(self) -> None:
         self._given: deque[Task] = deque()
 
     def free(self) -> Sequence[int]:
-        """As the protocol says."""
+        """See the protocol."""
         return [0] * (2000 - len(self._given))
 
     def submit(self, task: Task, lane: int) -> None:
-        """As the protocol says."""
+        """See the protocol."""
         self._given.append(task)
 
     def wait(self, timeout_s: float) -> Sequence[TaskResult]:
-        """As the protocol says: one at a time, as workers end one by one."""
+        """See the protocol; return one task at a time, as workers finish one by one."""
         task = self._given.popleft()
         index, _ = ShardIndex.of({4**12 + 16 * task.id + i: b"tile" for i in range(16)})
         return [TaskResult(task.id, index.to_bytes(), 64, 1.0, 0.1, 0)]
 
     def close(self) -> None:
-        """As the protocol says."""
+        """See the protocol."""
 
 
 def planned(folder: Path, raster: Path, zooms: tuple[int, int]) -> tuple[TaskTable, PlannedRun]:
-    """A table of tasks that are all waiting."""
+    """Return a table of pending tasks."""
     table = TaskTable(folder / "idle" / "tasks.sqlite")
     request = SeedRequest(LevelSource(path=raster), ZoomRange(*zooms), (SunSpec(azimuth=225.0, altitude=20.0),), "color", "png")
     return table, plan_run(table, request, lambda text: None)
 
 
 def coordinator_per_s(folder: Path, raster: Path) -> float:
-    """Tasks a second that the coordinator hands out and notes."""
+    """Return the tasks a second that the coordinator dispatches and records."""
     table, run = planned(folder, raster, (8, 15))
     with table:
         count = len(table.waiting())
@@ -128,7 +128,7 @@ def coordinator_per_s(folder: Path, raster: Path) -> float:
 
 
 def dask_per_s(folder: Path, tasks: int = 2000) -> float:
-    """Tasks a second that take no time by way of a Dask cluster with one worker, two at a time as ``DaskCluster`` has them."""
+    """Return the tasks a second without work on a Dask cluster with one worker, two at a time as in ``DaskCluster``."""
     import distributed
 
     index = bytes(448)
@@ -150,7 +150,7 @@ def _nothing(number: int, index: bytes) -> TaskResult:
 
 
 def packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tuple[float, float]:
-    """Bytes and tiles a second from shards into an archive."""
+    """Return the bytes and tiles a second from shards into an archive."""
     body = np.random.default_rng(1).bytes(tile_bytes - 8)
     store, indexes, first = FolderStore(folder / "pack"), [], (4**12 - 1) // 3
     for number in range(tiles // BLOCK_TILES_ALL):
@@ -166,7 +166,7 @@ def packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tup
 
 
 def measure(data: Path) -> Measured:
-    """Draw, and find the rates."""
+    """Draw, and measure the rates."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         raster, output = folder / "mosaic.tif", folder / "out.pmtiles"
@@ -198,7 +198,7 @@ def measure(data: Path) -> Measured:
 
 @dataclass(frozen=True)
 class Simulated:
-    """A run of many workers: hours from start to end, the share of the workers' time that is drawing, tasks that were lost."""
+    """A run of many workers: total hours, the share of the workers' time that is drawing, lost tasks."""
 
     hours: float
     busy: float
@@ -209,8 +209,10 @@ def simulate(
     task_s: np.ndarray, tasks: int, workers: int, per_s: float, slow_share: float, slow_factor: float, deaths_per_hour: float,
     heaviest_first: bool = True, seed: int = 1,
 ) -> Simulated:  # fmt: skip
-    """Hand out tasks of measured times to workers, of whom some are slow by a factor, and any dies so often an hour, losing its
-    task, and is back after a minute. The coordinator hands out ``per_s`` tasks a second at most.
+    """Simulate workers that run tasks of measured times.
+
+    Some workers are slow by a factor. A worker dies at a rate per hour, loses its task, and restarts after a minute. The
+    coordinator dispatches at most ``per_s`` tasks a second.
     """
     rng = np.random.default_rng(seed)
     times = rng.choice(task_s, tasks)
@@ -276,12 +278,12 @@ def tell(found: Measured, workers: int, money: float) -> None:
 
 
 def _short(value: float) -> str:
-    """Two digits that count, or whole numbers."""
+    """Format with two significant digits, or as a whole number."""
     return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
 def main() -> None:
-    """Measure, or tell."""
+    """Measure, or print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     measuring = commands.add_parser("measure")

@@ -1,12 +1,12 @@
-"""Accuracy of `shadow_map` in the bundled levels' views, and the time and memory of a perspective frame with a million trees.
+"""Accuracy of `shadow_map` in the bundled levels' views; time and memory of a perspective frame with a million trees.
 
     python -m benchmarks.scenes accuracy [LEVEL ...] [--size 512x410] [--map-size 4096] [--markdown FILE]
     python -m benchmarks.scenes trees [--trees 1000000] [--repeats 5]
     python -m benchmarks.scenes thinning [--trees 1000000]
 
-`accuracy` holds every view of the levels (default: all bundled ones) against ray-traced truth, for the first light of each.
-`trees` draws two 1280 x 1024 views of 10 x 10 km of hills under one wood: medians, the process's peak memory, the device.
-`thinning` holds the shadow shares of the same views' stands, as drawn, against those of every single tree, both by rays.
+`accuracy` compares every view of the levels (default: all bundled ones) with ray-traced truth, for the first light of each. `trees`
+draws two 1280 x 1024 views of 10 x 10 km of hills under one wood: medians, the process's peak memory, the device. `thinning`
+compares the shadow shares of the same views' stands, as drawn with decimation, with those of every single tree, both by rays.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def line(row: dict) -> str:
 
 
 def wooded_hills(folder: Path, trees: int) -> Path:
-    """A level in a folder: 10 x 10 km of hills in UTM zone 32N under one wood of some number of trees."""
+    """Write a level into a folder: 10 x 10 km of hills in UTM zone 32N under one wood of ``trees`` trees."""
     y, x = np.mgrid[: int(SIDE_M / CELL_M), : int(SIDE_M / CELL_M)] * CELL_M
     heights = 300 + 120 * np.sin(x / 900) * np.cos(y / 1100) + 40 * np.sin(x / 210 + y / 330) + 15 * np.cos(y / 90)
     west, north = 500_000.0, 5_210_000.0
@@ -107,7 +107,7 @@ def trees(count: int, repeats: int) -> None:
                 start = time.perf_counter()
                 view = scene.view(name)
                 plan = make_plan(describe(scene, view, name), scene.loaded.level)
-                frame = None  # the last one goes before the next is made, as in a service
+                frame = None  # release the last frame before the next is made, as a service does
                 frame = render_frame(scene, view, plan)
                 times.append(time.perf_counter() - start)
             passes = ", ".join(f"{record.name} {record.ms:.0f}" for record in frame.passes)
@@ -121,7 +121,7 @@ def thinning(count: int) -> None:
         for name in ("low", "high"):
             shares = []
             for stand_module.FULL_STAND_TREE_PX in (1e-6, whole_px):
-                scene = build_scene(load_level(wooded_hills(Path(folder), count)))  # anew: stands are kept by their scene
+                scene = build_scene(load_level(wooded_hills(Path(folder), count)))  # a new scene each time: the scene caches stands
                 view, drawn, parts = scene.view(name), 0, []
                 for row, col in WINDOW_ORIGINS:
                     buffer = geometry_buffer(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))

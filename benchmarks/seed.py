@@ -1,14 +1,14 @@
-"""Speed of ``skugga seed``: one worker and two, a Dask cluster, and tools that cut and encode a ready hillshade.
+"""Speed of ``skugga seed``: one worker and two, a Dask cluster, and tools that tile and encode a ready hillshade.
 
     python -m benchmarks.seed DATA [--copies 6] [--zooms 8-13] [--gdal2tiles gdal2tiles.py] [--rio rio] [--json FILE]
 
-``DATA`` is a folder of real rasters that has ``mountain/bigtujunga_30m_utm11.tif``: it is mirrored into a mosaic of so many copies
-a side, whose seams are continuous. Everything runs in a folder that is deleted, one after another, in one run: compare the ratios.
-Caches of compiled loops are warm: each command is run once on a small part before it is timed.
+``DATA`` is a folder of real rasters with ``mountain/bigtujunga_30m_utm11.tif``. The raster is mirrored into a seamless mosaic of
+``--copies`` copies a side. Everything runs in a temporary folder, one after another, in one run: compare the ratios. Loops are
+compiled before: each command runs once on a small part before it is timed.
 
 `gdal2tiles.py` (Debian's `gdal-bin` and `python3-gdal`) and `rio pmtiles` (`pip install rio-pmtiles`, beside Skugga or in an
-environment of its own: ``--rio``) get a hillshade of the same raster, made before, without cast shadows. What is absent is named
-and left out.
+environment of its own: ``--rio``) get a hillshade of the same raster, made before, without cast shadows. Absent tools are named and
+left out.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SKUGGA = [sys.executable, "-c", "from skugga.api.cli.main import main; main()"]
 
 @dataclass(frozen=True)
 class SeedRow:
-    """A run: its name, seconds from start to end, tiles that it wrote, and what it says of itself."""
+    """A run: its name, total seconds, the tiles that it wrote, and its own report."""
 
     name: str
     seconds: float
@@ -63,7 +63,7 @@ def mosaic(source: Path, copies: int, target: Path) -> None:
 
 
 def seeded(folder: Path, name: str, raster: Path, zooms: str, *options: str) -> SeedRow:
-    """``skugga seed`` into an archive of its own."""
+    """Run ``skugga seed`` into a new archive."""
     output = folder / f"{name.replace(' ', '-')}.pmtiles"
     command = [*SKUGGA, "seed", str(raster), "--zooms", zooms, *SUN, "-o", str(output), "--json", *options]
     start = time.perf_counter()
@@ -78,14 +78,14 @@ def seeded(folder: Path, name: str, raster: Path, zooms: str, *options: str) -> 
 
 
 def tiles_in(archive: Path) -> int:
-    """Tiles that an archive answers."""
+    """Return the number of tiles in an archive."""
     with archive.open("rb") as file:
         return int(Reader(MmapSource(file)).header()["addressed_tiles_count"])
 
 
 @contextmanager
 def cluster(folder: Path, workers: int) -> Iterator[str]:
-    """A Dask cluster of processes on this machine."""
+    """Run a Dask cluster of processes on this machine."""
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         port = one.getsockname()[1]
@@ -112,7 +112,7 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
 
 
 def others(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio: str) -> list[SeedRow]:
-    """Tools that cut and encode a hillshade of the raster."""
+    """Run tools that tile and encode a hillshade of the raster."""
     if not shutil.which("gdaldem") or not shutil.which(gdal2tiles):
         print("gdaldem and gdal2tiles.py are absent: left out")
         return []
@@ -141,7 +141,7 @@ def others(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio: str) ->
 
 
 def report(rows: list[SeedRow]) -> None:
-    """Print the rows, and what is asked of them."""
+    """Print the rows, and the targets."""
     print("| run | seconds | tiles | tiles a second | drawing | packing | largest worker |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for row in rows:

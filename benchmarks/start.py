@@ -1,14 +1,14 @@
-"""What a new installation waits for, and a used one: start times, and the compiling of loops in CPU seconds of each.
+"""Start times of a new installation and a used one, and CPU seconds of compiling each loop.
 
     python -m benchmarks.start [--wheel-python PATH]
     python -m benchmarks.start --compile [--product tile|shade|sunhours|point|render] [--file FILE] [--rows 40]
 
-The first prints a table of wall and CPU seconds of whole processes (``benchmarks.start_times``): a clone's, and with
-``--wheel-python`` those of an environment with nothing but a wheel by ``make wheel``.
+The first prints a table of wall and CPU seconds of whole processes (``benchmarks.start_times``): those of a clone, and with
+``--wheel-python`` those of an environment that has only a wheel by ``make wheel``.
 
-The second makes each product once, in a fresh process with an empty cache of compiled loops: a first tile after a render process
-has started, or what a command writes, of a made raster of mountains (``render``: of the bundled wooded level). Machines are
-compared by the yardstick: the CPU seconds of compiling one fixed small loop in the same process.
+The second makes each product once, in a fresh process with an empty cache of compiled loops. A product is a first tile after a
+render process has started, or a command's output, of a generated raster of mountains (``render``: of the bundled wooded level). The
+yardstick compares machines: the CPU seconds of compiling one fixed small loop in the same process.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from benchmarks.start_times import table
 
 
 def main() -> None:
-    """Print what is asked for."""
+    """Print the requested table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--compile", action="store_true", help="profile the compiling of loops")
     parser.add_argument("--wheel-python", help="interpreter of an environment that has a wheel")

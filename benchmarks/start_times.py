@@ -1,7 +1,8 @@
-"""How long a new and a used installation take until the first result: wall and CPU seconds of whole processes.
+"""Time to the first result of a new and a used installation: wall and CPU seconds of whole processes.
 
-Empty caches are an empty home: no stored loops, no shaders, no calibration. A service is asked as a browser does: its page, then a
-tile in the middle of the first level as soon as ``/readyz`` allows it, then ``/readyz`` until nothing is left to compile.
+Empty caches are an empty home: no stored loops, no shaders, no calibration. The benchmark requests a service's pages as a browser
+does: its page, then a tile in the middle of the first level as soon as ``/readyz`` allows it, then ``/readyz`` until all loops are
+compiled.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import rasterio
 from affine import Affine
 
 LIMIT_S = 900.0
-"""After so long a start counts as failed."""
+"""Timeout of a start, seconds."""
 
 YARDSTICK = """
 import time
@@ -45,12 +46,12 @@ def smooth(a, b):
 smooth.compile("void(float64[:,::1], float64[:,::1])")
 print(time.process_time() - start)
 """
-"""Compiles one small loop that has nothing to do with ours, so that machines can be compared."""
+"""Compiles one small loop that is independent of ours, to compare machines."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the table: what was done, with wall seconds of its moments, and CPU seconds until the last of them."""
+    """A row of the table: its label, wall seconds of its events, and CPU seconds until the last of them."""
 
     what: str
     seconds: tuple[float, ...]
@@ -65,7 +66,7 @@ def table(python: str, wheel_python: str | None, one_core: bool = True) -> Itera
     python
         Interpreter of a clone's environment.
     wheel_python
-        Interpreter of an environment with nothing but a wheel that holds compiled loops; ``None`` leaves its rows out.
+        Interpreter of an environment that has only a wheel with compiled loops; ``None`` leaves its rows out.
     one_core
         Also start a service on one core.
     """
@@ -119,18 +120,18 @@ def write_dem(path: Path) -> Path:
 
 @contextmanager
 def _home(folder: Path) -> Iterator[dict[str, str]]:
-    """The variables of an empty home."""
+    """Return the variables of an empty home."""
     with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as home:
         yield {"HOME": home, "XDG_CACHE_HOME": f"{home}/.cache", "SKUGGA_CALIBRATE_WHEN_IDLE": "false"}
 
 
 def _environment(home: dict[str, str]) -> dict[str, str]:
-    """This process's environment with another home, and without settings of numba that name folders or processors."""
+    """Return this process's environment with another home, and without numba settings that name folders or processors."""
     return {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")} | home
 
 
 def _run(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[float, float, str]:
-    """Run a command to its end; wall and CPU seconds, and what it prints."""
+    """Run a command to its end; return wall and CPU seconds, and its output."""
     before, start = _children_cpu_s(), clock.perf_counter()
     done = subprocess.run(command, env=_environment(home), cwd=cwd, stdout=subprocess.PIPE, text=True, check=True, timeout=LIMIT_S)
     return clock.perf_counter() - start, _children_cpu_s() - before, done.stdout
@@ -142,7 +143,9 @@ def _command(command: Sequence[str], home: dict[str, str], cwd: Path | None = No
 
 
 def _service(command: Sequence[str], home: dict[str, str], cwd: Path | None = None) -> tuple[tuple[float, float, float], float]:
-    """Start a service and ask it; wall seconds until its page, its first tile and the end of all compiling, and CPU seconds."""
+    """Start a service and request its pages; return wall seconds until its page, its first tile and the end of compiling,
+    and CPU seconds.
+    """
     port = _free_port()
     url = f"http://127.0.0.1:{port}"
     before, start = _children_cpu_s(), clock.perf_counter()
@@ -161,7 +164,7 @@ def _service(command: Sequence[str], home: dict[str, str], cwd: Path | None = No
 
 
 def _middle_tile(url: str) -> str:
-    """The address of the tile in the middle of the first level, at its first zoom."""
+    """Return the address of the tile in the middle of the first level, at its first zoom."""
     name = json.loads(_get(f"{url}/levels") or b"[]")[0]["name"]
     tilejson = json.loads(_get(f"{url}/levels/{name}/WebMercatorQuad/tilejson.json") or b"{}")
     west, south, east, north = tilejson["bounds"]

@@ -1,9 +1,8 @@
-"""Every named style side by side: mountains, a city, a plain and a forest, at noon and in the evening, as maps and in perspective.
+"""Contact sheets of every named style: mountains, city, plain and forest, at noon and in the evening, as maps and in perspective.
 
     python -m benchmarks.styles FOLDER -o OUT [--picture docs/images/styles.webp] [--side 480]
 
-FOLDER has the sample rasters. Into OUT go a sheet of all styles for each place and light, to be looked at; ``--picture`` writes the
-one that the docs show.
+FOLDER has the sample rasters. OUT gets a sheet of all styles for each place and light; ``--picture`` writes the sheet of the docs.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ LIGHTS = {"noon": SunSpec(azimuth=195.0, altitude=48.0), "evening": SunSpec(azim
 
 @dataclass(frozen=True)
 class Place:
-    """A level of a raster of the folder, or a bundled one, and what is shown: a view, and of a map the share of its middle."""
+    """A level of a raster of the folder, or a bundled one, and a view; of a map the share of its middle."""
 
     source: str
     view: str = "map"
@@ -56,7 +55,7 @@ SHOWN = ("high mountains", "city")
 
 
 def scene_of(place: Place, folder: Path, scratch: Path) -> Scene:
-    """A place's level, read from a file that is written for it."""
+    """Return a place's level, read from a file that is written for it."""
     if "/" not in place.source:
         return build_scene(load_level(find_level(place.source)))
     keys = json.loads(json.dumps(place.keys).replace('"forest/', f'"{folder}/forest/'))
@@ -66,7 +65,7 @@ def scene_of(place: Place, folder: Path, scratch: Path) -> Scene:
 
 
 def picture(scene: Scene, place: Place, style: str, light: SunSpec, side: int) -> np.ndarray:
-    """A place in a style under a sun: uint8 (rows, cols, 3), ``side`` pixels wide, white where there is nothing."""
+    """Draw a place in a style under a sun: uint8 (rows, cols, 3), ``side`` pixels wide, white off the surface."""
     scene = scene.with_sun(light).with_style(style)
     view = scene.view(place.view)
     if place.view == "map":
@@ -80,7 +79,7 @@ def picture(scene: Scene, place: Place, style: str, light: SunSpec, side: int) -
 
 
 def sheet(folder: Path, name: str, light: str, side: int) -> Image.Image:
-    """All styles of a place under a light, side by side."""
+    """Return all styles of a place under a light, side by side."""
     place = PLACES[name]
     with tempfile.TemporaryDirectory() as scratch:
         scene = scene_of(place, folder, Path(scratch))

@@ -4,10 +4,9 @@
                                         [--processes 2] [--markdown FILE]
     python -m benchmarks.sweep_accuracy FOLDER --all-azimuths NAME [--altitudes 10] [--crop 512]
 
-Every raster of heights below FOLDER is an array in a flat world: its middle, holes filled as for casting, cells as long and
-wide as at its middle latitude. Truth are rays from the nodes, over quads that are cut along their higher diagonals as they are
-for the sweep; it is counted where it does not hang on the rays' offset. ``--all-azimuths`` takes the 360 whole degrees on the
-raster of that name.
+Every raster of heights below FOLDER becomes an array in a flat world: its middle, with holes filled as for casting, and cells of
+the size at its middle latitude. Truth is rays from the nodes, against quads cut along their higher diagonals as in the sweep. Nodes
+count where truth does not depend on the rays' offset. ``--all-azimuths`` uses the 360 whole degrees on the raster of that name.
 """
 
 from __future__ import annotations
@@ -32,22 +31,22 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.sheet import Sheet, sheet_of
 
 NO_HEIGHTS = ("landcover", "rgb")
-"""Parts of the names of rasters that hold something else."""
+"""Parts of the names of rasters that do not hold heights."""
 
 NODE_OFFSET = 1.0 / 8.0
-"""What a node is lifted by, in offsets of ``skugga.terrain.casters.rays``: it is a vertex, rounded to float32 just as the triangles
-are.
+"""Offset of a node's rays, in offsets of ``skugga.terrain.casters.rays``: the node is a vertex, rounded to float32 as the
+triangles are.
 """
 
 TIE_DEG = 0.01
-"""What hangs on so much of the sun's altitude, a fiftieth of its disc, is not counted."""
+"""Nodes whose class depends on this change of the sun's altitude, a fiftieth of its disc, do not count."""
 
 BATCH_RAYS = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """Heights (rows, cols) float32 in metres, NaN where no ground is near; sides (row, column) of a cell in metres."""
+    """Heights (rows, cols) float32 in metres, NaN without data; sides (row, column) of a cell in metres."""
 
     name: str
     height_m: np.ndarray
@@ -63,10 +62,10 @@ class Raster:
 
 @dataclass(frozen=True, eq=False)
 class GridTruth:
-    """What rays say of a grid's nodes under one sun; bool arrays (rows, cols), False where there is no ground.
+    """Truth by rays at a grid's nodes under one sun; bool arrays (rows, cols), False without ground.
 
-    ``lit`` is the class with quads cut along their higher diagonals, as the sweep has them, and ``drawn`` where it is certain.
-    ``decidable`` is where it is certain and the same along either diagonal: for tools that cut quads in a way of their own.
+    ``lit`` is the class with quads cut along their higher diagonals, as in the sweep; ``drawn`` is the mask where it is certain.
+    ``decidable`` masks the nodes where it is certain and the same along either diagonal: for tools that cut quads differently.
     """
 
     lit: np.ndarray
@@ -91,8 +90,9 @@ class SweepFigures:
 
 
 class GridRays:
-    """Rays through the triangles of a heightfield (rows, cols), quads cut along the higher and along the lower diagonal. The
-    outermost heights go on for a cell, as in ``sunlit``.
+    """Rays against the triangles of a heightfield (rows, cols), with quads cut along the higher and along the lower diagonal.
+
+    The outermost heights continue for a cell, as in ``sunlit``.
     """
 
     def __init__(self, height_m: np.ndarray, cell_m: tuple[float, float]) -> None:
@@ -105,12 +105,12 @@ class GridRays:
         self._drawn, self._other = RayScene([sheet]), RayScene([Sheet(nodes, ~sheet.falls)])
 
     def truth(self, azimuth_deg: float, altitude_deg: float) -> GridTruth:
-        """Classes of the nodes under a sun (azimuth clockwise from north) and where they are certain.
+        """Return the classes of the nodes under a sun (azimuth clockwise from north) and where they are certain.
 
-        A node is on the surface whichever way quads are cut. It is lifted upwards, by e, 2e and 4e. What is clear from e is so
-        from anything higher, as this is a heightfield, and what is dark from 4e from anything lower: these two are all that
-        need be asked. What only stands less than e in a ray's way is missed; hence the small e. And where the sun stands
-        ``TIE_DEG`` lower or higher: whole metres and equal cells make ties at some azimuths, which rounding decides.
+        A node is on the surface whichever way quads are cut. Its rays start e, 2e and 4e above it. A node that is lit from e is lit
+        from any height above, as this is a heightfield, and one that is dark from 4e is dark from any height below: these two rays
+        suffice. The rays miss casters that rise less than e above them; hence the small e. A certain class is also the same with
+        the sun ``TIE_DEG`` lower and higher: whole metres and equal cells make ties at some azimuths, which rounding decides.
         """
         lower, to_sun, higher = (_direction(azimuth_deg, altitude_deg + step) for step in (-TIE_DEG, 0.0, TIE_DEG))
         valid = np.flatnonzero(self._there)
@@ -145,7 +145,7 @@ def _direction(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
 def figures_of(
     raster: Raster, lit: np.ndarray, truth: GridTruth, certain: np.ndarray, azimuth_deg: float, altitude_deg: float
 ) -> SweepFigures:
-    """Hold an answer (rows, cols), True where the sun is seen, against truth where that is ``certain``, one of its masks."""
+    """Compare an answer (rows, cols), True where the sun is visible, with truth where ``certain``, one of its masks, is set."""
     known = np.isfinite(raster.height_m)
     decided = certain & raster.valid
     wrong = decided & (lit != truth.lit)
@@ -165,7 +165,7 @@ def figures_of(
 
 
 def rasters_of(folder: Path, crop: int) -> Iterator[Raster]:
-    """The rasters of heights below a folder, at most ``crop`` cells a side; says which are left out."""
+    """Return the rasters of heights below a folder, at most ``crop`` cells a side; print those that are left out."""
     for path in sorted(folder.rglob("*.tif")):
         if any(word in path.stem.lower() for word in NO_HEIGHTS):
             continue
@@ -176,7 +176,7 @@ def rasters_of(folder: Path, crop: int) -> Iterator[Raster]:
 
 
 def read(path: Path, crop: int) -> Raster:
-    """The middle of a raster's heights: round the median of its known cells. Raises ``SourceError``."""
+    """Read the middle of a raster's heights, round the median of its valid cells. Raises ``SourceError``."""
     elevation = Elevation(str(path))
     shape = elevation.shape
     known = np.nonzero(np.isfinite(elevation.overview.heights_m))
@@ -186,7 +186,7 @@ def read(path: Path, crop: int) -> Raster:
     row, col = np.meshgrid(*(f + np.arange(s, dtype=float) for f, s in zip(first, size, strict=True)), indexing="ij")
     height_m, valid = elevation.heights_at(0, row, col)
     unit_m = 1.0 if elevation.crs.is_geographic else elevation.crs.axis_info[0].unit_conversion_factor
-    if elevation.vertical.unit_from is None:  # where nothing is said, heights are in the unit of the map: feet in feet
+    if elevation.vertical.unit_from is None:  # by default heights are in the unit of the map: feet in feet
         height_m = height_m * np.float32(unit_m)
     name = f"{path.parent.name}/{path.stem}"
     cell_m = _cell_m(elevation, first[0] + size[0] / 2, first[1] + size[1] / 2, unit_m)
@@ -195,7 +195,7 @@ def read(path: Path, crop: int) -> Raster:
 
 
 def _cell_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tuple[float, float]:
-    """Sides (row, column) in metres of the cell at a place."""
+    """Return the sides (row, column) in metres of the cell at a place."""
     x, y = elevation.xy(np.array([row - 0.5, row + 0.5, row, row]), np.array([col, col, col - 0.5, col + 0.5]))
     if elevation.crs.is_geographic:
         _, _, length = WGS84.inv(x[::2], y[::2], x[1::2], y[1::2])
@@ -204,7 +204,7 @@ def _cell_m(elevation: Elevation, row: float, col: float, unit_m: float) -> tupl
 
 
 def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list[SweepFigures]:
-    """Figures of the sweep on one raster under suns of (azimuth, altitude) in degrees."""
+    """Return figures of the sweep on one raster under suns of (azimuth, altitude) in degrees."""
     rays = GridRays(raster.height_m, raster.cell_m)
     figures = []
     for sun in suns:
@@ -214,7 +214,7 @@ def measure(raster: Raster, suns: list[tuple[float, float]], lines: int) -> list
 
 
 def report(rasters: list[Raster], found: list[SweepFigures], lines: int) -> list[str]:
-    """Markdown: a row per raster, and what holds over all."""
+    """Format Markdown: a row per raster, and a summary."""
     rows = [
         f"# The line sweep against rays: {lines} line(s) a cell",
         "",
@@ -279,7 +279,7 @@ def main() -> None:
         rasters = [raster for raster in rasters if args.all_azimuths in raster.name][:1]
     if not rasters:
         parser.error(f"no raster of heights below {args.folder}" + (f" is called {args.all_azimuths}" if every else ""))
-    rasters.sort(key=lambda raster: -raster.height_m.size)  # the longest work first, so that no core waits at the end
+    rasters.sort(key=lambda raster: -raster.height_m.size)  # the longest work first, so that no core idles at the end
     parts = [suns[first :: args.processes] for first in range(args.processes)] if every else [suns]
     start, figures = time.perf_counter(), []
     with ProcessPoolExecutor(args.processes) as pool:

@@ -1,12 +1,13 @@
-"""Speed and wrong cells of the line sweep on fractal mountains, beside the fastest sweep that others offer.
+"""Speed and wrong cells of the line sweep on fractal mountains, compared with the fastest other sweep.
 
     python -m benchmarks.sweep_speed [--side 4096] [--truth-side 2048] [--lines 8] [--repeats 5] [--markdown FILE]
 
-The other one is `insolation.doshade` (Corripio's running maximum in numba): `pip install insolation` beside Skugga; without it
-its rows are left out. Both take the same array under nine suns, off the 45-degree axes, in turns, each in a process of its own.
-Figures are medians of one run; those per core and second hold on a busy machine too. Memory is what a process's peak grows by
-while it works. Wrong cells are held against rays on a smaller terrain of the same make, since the rays' triangles take 0.5 GB
-per million cells: those of the sweep over quads that are cut as it cuts them, those of the other one where the cut is no matter.
+The other sweep is `insolation.doshade` (Corripio's running maximum in numba): `pip install insolation` beside Skugga; without it
+its rows are left out. Both process the same array under nine suns, off the 45-degree axes, in turns, each in a process of its own.
+Figures are medians of one run; rates per core and second hold on a busy machine, too. Memory is the growth of a process's peak
+during the work. Wrong cells are counted against rays on a smaller terrain of the same kind, since the rays' triangles take 0.5 GB
+per million cells. Truth for the sweep uses its own cut of quads; truth for the other one counts only cells where the cut does not
+matter.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from skugga.shadows.sweep.grid import sunlit
 CELL_M = 10.0
 RELIEF_M = 2000.0
 ROUGHNESS = 2.1
-"""Amplitudes of the spectral synthesis fall with this power of the frequency: slopes of 16 degrees on average."""
+"""Amplitudes of the spectral synthesis decay with this power of the frequency: slopes of 16 degrees on average."""
 
 SUNS = [(azimuth, altitude) for azimuth in (202.0, 113.0, 67.0) for altitude in (30.0, 10.0, 3.0)]
 
@@ -44,14 +45,14 @@ CORES_RATIO = 1.7
 
 @dataclass(frozen=True)
 class SweepTool:
-    """A way to answer: its name, threads, and lines a cell for the sweep (0: the other one)."""
+    """A tool: its name, threads, and lines a cell for the sweep (0: the other tool)."""
 
     name: str
     threads: int
     lines: int
 
     def lit(self, height_m: np.ndarray, azimuth_deg: float, altitude_deg: float) -> np.ndarray:
-        """Where the sun is seen: bool (rows, cols)."""
+        """Return where the sun is visible: bool (rows, cols)."""
         if self.lines:
             return sunlit(height_m, CELL_M, azimuth_deg, altitude_deg, lines=self.lines, cores=self.threads)
         from insolation import insolf
@@ -65,7 +66,9 @@ class SweepTool:
 
 
 def mountains(side: int, seed: int = 42) -> np.ndarray:
-    """Fractal heights (side, side) float32 in metres by spectral synthesis: white noise whose spectrum falls by a power law."""
+    """Return fractal heights (side, side) float32 in metres by spectral synthesis: white noise whose spectrum decays by a
+    power law.
+    """
     spectrum = np.fft.rfft2(np.random.default_rng(seed).standard_normal((side, side)))
     frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
     frequency[0, 0] = np.inf
@@ -74,7 +77,10 @@ def mountains(side: int, seed: int = 42) -> np.ndarray:
 
 
 def check_convention(tool: SweepTool) -> None:
-    """A pole of 100 m on a flat floor throws its shadow away from the sun, as long as it should. Raises ``RuntimeError``."""
+    """Check that a pole of 100 m on a flat floor casts a shadow away from the sun and of the right length.
+
+    Raises ``RuntimeError`` if it does not.
+    """
     height = np.zeros((201, 201), np.float32)
     height[100, 100] = 100.0
     for azimuth, (down, right) in {0.0: (1, 0), 90.0: (0, -1), 180.0: (-1, 0), 270.0: (0, 1), 45.0: (1, -1)}.items():
@@ -92,18 +98,18 @@ class Worker:
 
     def __init__(self) -> None:
         self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
-        self.peak_bytes()  # started now: a process's peak begins with that of the one that starts it
+        self.peak_bytes()  # starts the process now: its peak begins with that of its parent
 
     def load(self, path: Path) -> None:
-        """Take a terrain (rows, cols) from a file."""
+        """Load a terrain (rows, cols) from a file."""
         self._pool.submit(_load, path).result()
 
     def seconds(self, tool: SweepTool, sun: tuple[float, float]) -> tuple[float, float]:
-        """Wall time of one answer, and the time of all cores together."""
+        """Return wall time of one answer, and CPU time of all cores."""
         return self._pool.submit(_seconds, tool, sun).result()
 
     def peak_bytes(self) -> int:
-        """The most memory that the process has held so far."""
+        """Return the peak memory of the process so far."""
         return self._pool.submit(_peak_bytes).result()
 
     def close(self) -> None:
@@ -130,7 +136,7 @@ def _peak_bytes() -> int:
 
 
 def timed(tools: list[SweepTool], side: int, repeats: int) -> tuple[dict[SweepTool, np.ndarray], dict[SweepTool, int]]:
-    """Wall and core seconds (repeats, suns, 2) of each tool, all in turns, and what its process's peak grew by, bytes."""
+    """Return wall and core seconds (repeats, suns, 2) of each tool, all in turns, and the growth of its process's peak, bytes."""
     workers = {tool: Worker() for tool in tools}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "terrain.npy"
@@ -138,7 +144,7 @@ def timed(tools: list[SweepTool], side: int, repeats: int) -> tuple[dict[SweepTo
         for worker in workers.values():
             worker.load(path)
     before = {tool: worker.peak_bytes() for tool, worker in workers.items()}
-    for tool, worker in workers.items():  # loops are compiled and threads started before anything counts
+    for tool, worker in workers.items():  # compiles loops and starts threads before the timing
         worker.seconds(tool, SUNS[0])
     seconds = {tool: np.empty((repeats, len(SUNS), 2)) for tool in tools}
     for repeat in range(repeats):
@@ -157,7 +163,7 @@ def _speed(tool: SweepTool, seconds: np.ndarray, side: int) -> str:
 
 
 def wrong_cells(tools: list[SweepTool], side: int) -> dict[SweepTool, np.ndarray]:
-    """Wrong, false, missed and interior shares of decided cells (suns, 4) of each tool, against the same rays."""
+    """Return wrong, false, missed and interior shares of decided cells (suns, 4) of each tool, against the same rays."""
     terrain = Raster("mountains", mountains(side), np.ones((side, side), bool), (CELL_M, CELL_M))
     rays = GridRays(terrain.height_m, terrain.cell_m)
     out = {tool: np.empty((len(SUNS), 4)) for tool in tools}
@@ -177,7 +183,7 @@ def report(
     truth_side: int,
     wrong: dict[SweepTool, np.ndarray],
 ) -> list[str]:
-    """Markdown: a row per tool, its wrong cells by sun, and the targets."""
+    """Format Markdown: a row per tool, its wrong cells by sun, and the targets."""
     rows = [
         f"# The line sweep on {side} x {side} fractal mountains, nine suns",
         "",
@@ -206,7 +212,7 @@ def report(
 
 
 def _targets(seconds: dict[SweepTool, np.ndarray], wrong: dict[SweepTool, np.ndarray], side: int) -> list[str]:
-    """What was aimed at, and what came out; ratios are medians over the pairs of one run."""
+    """Format the targets and the results; ratios are medians over the pairs of one run."""
     by_threads = {(bool(tool.lines), tool.threads): tool_seconds[..., 0] for tool, tool_seconds in seconds.items()}
     own = by_threads[True, 1]
     found = [("million cells/s on one core", side**2 / np.median(own) / 1e6, CELLS_PER_S / 1e6)]

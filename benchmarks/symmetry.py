@@ -1,11 +1,11 @@
-"""How much the shadows of mirrored and turned ground differ, under a sun that is mirrored or turned alike.
+"""Symmetry of shadows: how much they differ on mirrored and rotated ground under a sun that is transformed alike.
 
     python -m benchmarks.symmetry FOLDER [--algorithms sweep truth shadow_map shadow_volume] [--crop 256] [--between-nodes]
                                          [--markdown FILE]
 
-Rasters below FOLDER (``RASTERS``), their middle, as sites in a flat world whose cells are a power of two of metres: then a pixel a
-cell lies on nodes. Each is drawn in all eight ways that a square can be mirrored and turned. The figure is the largest share of
-pixels whose class differs from that of the ground as it is.
+The middles of rasters below FOLDER (``RASTERS``) become sites in a flat world whose cells are a power of two of metres: with a
+pixel a cell, pixels then lie on nodes. Each is drawn in all eight symmetries of a square. The figure is the largest share of pixels
+whose class differs from that of the original ground.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from skugga.terrain.scene import Scene, build_scene
 SIDES = [
     (east_west, north_south, turned) for turned in (False, True) for north_south in (False, True) for east_west in (False, True)
 ]
-"""The eight symmetries of a square: what is mirrored, after rows and columns have changed places or not."""
+"""The eight symmetries of a square: whether rows and columns swap, and which axes are then mirrored."""
 
 SUNS = ((90.0, 45.0), (113.0, 30.0), (202.0, 10.0))
 """Azimuth and altitude, degrees."""
@@ -48,21 +48,21 @@ Side = tuple[bool, bool, bool]
 
 
 def moved(values: np.ndarray, side: Side) -> np.ndarray:
-    """Values (n, m) of a grid as one of its symmetries has them."""
+    """Transform values (n, m) of a grid by a symmetry."""
     east_west, north_south, turned = side
     values = values.T if turned else values
     return values[:: -1 if north_south else 1, :: -1 if east_west else 1]
 
 
 def moved_back(values: np.ndarray, side: Side) -> np.ndarray:
-    """What undoes ``moved``."""
+    """Invert ``moved``."""
     east_west, north_south, turned = side
     values = values[:: -1 if north_south else 1, :: -1 if east_west else 1]
     return values.T if turned else values
 
 
 def azimuth_of(azimuth_deg: float, side: Side) -> float:
-    """A sun's azimuth, degrees, moved likewise: turned about the diagonal from north-west to south-east, and mirrored."""
+    """Transform a sun's azimuth, degrees, likewise: reflect it in the diagonal from north-west to south-east, and mirror it."""
     east_west, north_south, turned = side
     if turned:
         azimuth_deg = 270.0 - azimuth_deg
@@ -72,7 +72,7 @@ def azimuth_of(azimuth_deg: float, side: Side) -> float:
 
 
 def heights_of(path: Path, crop: int) -> np.ndarray:
-    """The middle of a raster, an even number of cells each way, at most ``crop``: its middle then lies between cells."""
+    """Return the middle of a raster with an even number of cells each way, at most ``crop``: its middle then lies between cells."""
     with rasterio.open(path) as dataset:
         rows, cols = (min(crop, size) // 2 * 2 for size in dataset.shape)
         row, col = (dataset.height - rows) // 2, (dataset.width - cols) // 2
@@ -80,7 +80,7 @@ def heights_of(path: Path, crop: int) -> np.ndarray:
 
 
 def site(heights: np.ndarray, cell_m: float, sun: tuple[float, float], folder: Path) -> Scene:
-    """The scene of heights (rows, cols) whose south-west corner is the origin of a flat world."""
+    """Return the scene of heights (rows, cols) whose south-west corner is the origin of a flat world."""
     rows, cols = heights.shape
     transform = rasterio.transform.from_origin(0.0, rows * cell_m, cell_m, cell_m)
     with rasterio.open(
@@ -106,7 +106,7 @@ def site(heights: np.ndarray, cell_m: float, sun: tuple[float, float], folder: P
 
 
 def dark(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
-    """The class of each pixel (rows, cols) of a scene's whole map: True in shadow."""
+    """Return the class of each pixel (rows, cols) of a scene's whole map: True in shadow."""
     view = scene.view(bounds=scene.elevation.bounds, size=size)
     assert isinstance(view, MapView)
     if algorithm != "truth":
@@ -123,7 +123,7 @@ def dark(scene: Scene, algorithm: str, size: tuple[int, int]) -> np.ndarray:
 
 
 def asymmetry(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algorithm: str, between_nodes: bool) -> float:
-    """The largest share of pixels that one of the eight pictures has otherwise than the first."""
+    """Return the largest share of pixels by which one of the eight pictures differs from the first."""
     pictures = []
     for side in SIDES:
         ground = np.ascontiguousarray(moved(heights, side))
@@ -136,7 +136,7 @@ def asymmetry(heights: np.ndarray, cell_m: float, sun: tuple[float, float], algo
 
 
 def report(folder: Path, algorithms: list[str], crop: int, between_nodes: bool) -> Iterator[str]:
-    """Markdown: a row per raster and algorithm, in per cent of the pixels."""
+    """Format Markdown: a row per raster and algorithm, in per cent of the pixels."""
     yield "| raster | algorithm | " + " | ".join(f"{azimuth:g} / {altitude:g}" for azimuth, altitude in SUNS) + " |"
     yield "| --- | --- |" + " ---: |" * len(SUNS)
     for name, cell_m in RASTERS.items():

@@ -1,19 +1,19 @@
-"""The map service beside titiler's hillshade: tiles a second from one core each, with the sun's cast shadows and without.
+"""The map service compared with titiler's hillshade: tiles a second from one core each, with the sun's cast shadows and without.
 
     python -m benchmarks.tiles --raster FILE --titiler-python PATH [--base FOLDER] [--repeats 5] [--json FILE]
 
-Both services run on loopback, each with all its processes on one and the same core; what asks them runs on another. They shade the
-same cloud-optimised GeoTIFF, made from ``--raster``, and are asked for the same tiles of 256 x 256 pixels by the same code, 8
-requests at a time (but for the rows that say one). A service is started anew for each cold round. Figures are medians over the
-repeats; within one, the services take turns. Only ratios within one run are worth comparing.
+Both services run on loopback, each with all its processes on the same core; the client runs on another. They shade the same
+cloud-optimised GeoTIFF, made from ``--raster``, and answer requests for the same tiles of 256 x 256 pixels by the same client, 8
+requests at a time (except in the rows that say one). Each cold round starts a new service. Figures are medians over the repeats;
+within one, the services take turns. Only ratios within one run are comparable.
 
 titiler (`pip install titiler.application==2.4.0 uvicorn httptools uvloop`, in an environment of its own whose Python is
 ``--titiler-python``) runs as its manual recommends, with the GDAL settings there and one process: `hillshade`, `buffer=3`. It casts
-no shadows and keeps nothing: its every tile is a cold one.
+no shadows and caches nothing: all its tiles are cold.
 
-``--base`` is a clone of this repository at another commit. Then the CPU time of one block of bare ground is measured in both, in
-processes that take turns: cold, and under a new sun over ground seen before. What a tile of 512 x 512 pixels takes to be encoded,
-and a block of a village among woods beside one of its bare ground, is always measured.
+``--base`` is a clone of this repository at another commit. With it, the CPU time of one block of terrain is measured in both, in
+processes that take turns: cold, and under a new sun over cached ground. Two measurements always run: the time to encode a tile of
+512 x 512 pixels, and that of a block of a village among woods compared with one of its terrain only.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ Sun = tuple[float, float]
 
 @dataclass(frozen=True)
 class Round:
-    """What asking for some tiles took: tiles a second, milliseconds of one answer in the median and for 99 of 100, bytes a tile."""
+    """Results of a round of requests: tiles a second, median and 99th percentile of the milliseconds of an answer, bytes a tile."""
 
     per_second: float
     median_ms: float
@@ -78,7 +78,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Running:
-    """A service that runs: its process, its address, the seconds until it was ready, and the address of a tile under a sun."""
+    """A running service: its process, its port, the seconds until it was ready, and the address of a tile under a sun."""
 
     process: subprocess.Popen[bytes]
     port: int
@@ -87,7 +87,7 @@ class Running:
 
 
 def ask(port: int, paths: list[str], at_once: int = AT_ONCE) -> Round:
-    """Ask for paths, so many at a time over connections that stay open. Raises ``RuntimeError`` for what is no picture."""
+    """Request paths, so many at a time over persistent connections. Raises ``RuntimeError`` if an answer is no picture."""
     left, took_s, sizes = list(reversed(paths)), [], []
 
     async def client() -> None:
@@ -120,7 +120,7 @@ def ask(port: int, paths: list[str], at_once: int = AT_ONCE) -> Round:
 
 @contextmanager
 def service(command: list[str], port: int, ready: str, path: Callable[[Tile, Sun], str], **env: str) -> Iterator[Running]:
-    """A service on one core, until it is no longer needed. Raises ``RuntimeError`` where it does not start."""
+    """Run a service on one core as a context manager. Raises ``RuntimeError`` if it does not start."""
     start = time.perf_counter()
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen(
@@ -145,7 +145,7 @@ def service(command: list[str], port: int, ready: str, path: Callable[[Tile, Sun
 
 
 def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[Running]:
-    """Skugga with one render process over a raster, with the tuning that it has by itself."""
+    """Run Skugga with one render process over a raster, with its default tuning."""
     level = folder / "cog.yaml"
     level.write_text(json.dumps({"version": 1, "terrain": {"source": str(cog)}, "sun": {"azimuth": 225, "altitude": 30}}))
 
@@ -160,7 +160,7 @@ def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[
 
 
 def titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager[Running]:
-    """titiler with one process."""
+    """Run titiler with one process."""
 
     def path(tile: Tile, sun: Sun) -> str:
         z, x, y = tile
@@ -172,7 +172,7 @@ def titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager
 
 
 def tiles_of(cog: Path) -> list[Tile]:
-    """The tiles of all zooms that show a part of a raster, row by row."""
+    """Return the tiles of all zooms that show a part of a raster, row by row."""
     with rasterio.open(cog) as dataset:
         bounds = transform_bounds(dataset.crs, "OGC:CRS84", *dataset.bounds)
     return sorted(
@@ -181,7 +181,7 @@ def tiles_of(cog: Path) -> list[Tile]:
 
 
 def served_by_both(tiles: list[Tile], running: Running) -> list[Tile]:
-    """Those that titiler, which cuts corners of a tilted raster more closely, has, too."""
+    """Return the tiles that titiler serves, too; it clips the corners of a tilted raster more tightly."""
     found = []
     for tile in tiles:
         try:
@@ -193,7 +193,7 @@ def served_by_both(tiles: list[Tile], running: Running) -> list[Tile]:
 
 
 def viewport(tiles: list[Tile]) -> list[Tile]:
-    """What a screen shows of the last zoom but one: 6 x 4 tiles in the middle of the raster."""
+    """Return the tiles of a screen at the last zoom but one: 6 x 4 tiles in the middle of the raster."""
     zoom = ZOOMS[-2]
     xs, ys = ([tile[axis] for tile in tiles if tile[0] == zoom] for axis in (1, 2))
     x0, y0 = (min(xs) + max(xs)) // 2 - 2, (min(ys) + max(ys)) // 2 - 1
@@ -205,7 +205,7 @@ Start = Callable[[], AbstractContextManager[Running]]
 
 
 def measure(tiles: list[Tile], start: Start, keeps: bool, rounds: Rounds, rest: dict[str, list[float]]) -> None:
-    """One repeat of all rounds with a service; one that keeps nothing is asked again once."""
+    """Measure one repeat of all rounds with a service; a service without a cache gets the repeated requests once only."""
     shuffled, seen = random.Random(23).sample(tiles, len(tiles)), viewport(tiles)
     with start() as running:
         rest.setdefault("ready s", []).append(running.ready_s)
@@ -233,7 +233,7 @@ def measure(tiles: list[Tile], start: Start, keeps: bool, rounds: Rounds, rest: 
 
 
 async def paced(port: int, paths: list[str], per_second: float) -> Round:
-    """Ask for paths at a steady rate, whatever is still on its way."""
+    """Request paths at a steady rate, whatever is still pending."""
     took_s: list[float] = []
     sizes: list[int] = []
 
@@ -315,12 +315,13 @@ count = len(suns)
 print("passes, ms, cold:", passes[-count], "new sun:", passes[1 - count], file=sys.stderr)
 print(json.dumps(out))
 """
-"""CPU milliseconds of a block, as JSON, and on standard error those of its passes; all loops are compiled in a first go."""
+"""CPU milliseconds of a block, as JSON, and on standard error those of its passes; a first run compiles all loops."""
 
 
 def block_cpu(folder: Path, level: Path, zoom: int) -> dict[str, float]:
-    """CPU milliseconds of a block by the code in a folder: cold, and in the median of new suns; and of encoding a tile of 512 x 512
-    of it, where the code has a function for that.
+    """Return CPU milliseconds of a block by the code in a folder: cold, and the median of new suns.
+
+    If the code has a function for it, also those of encoding a tile of 512 x 512 of it.
     """
     suns = [SUNS[6], *SUNS[1::4]]
     process = subprocess.run(
@@ -335,7 +336,7 @@ def block_cpu(folder: Path, level: Path, zoom: int) -> dict[str, float]:
 
 
 def versions(python: Path) -> dict[str, str]:
-    """What was measured, on what."""
+    """Return versions of the software and the machine."""
     modules = "titiler.application, rio_tiler, rasterio, uvicorn"
     said = f"import {modules}; print(*(m.__version__ for m in ({modules})), rasterio.__gdal_version__)"
     theirs = subprocess.run([str(python), "-c", said], capture_output=True, text=True, check=True).stdout.split()
@@ -344,7 +345,7 @@ def versions(python: Path) -> dict[str, str]:
 
 
 def median_round(rounds: list[Round]) -> Round:
-    """The medians of some rounds."""
+    """Return the medians of some rounds."""
     return Round(*(statistics.median(values) for values in zip(*(asdict(each).values() for each in rounds), strict=True)))
 
 
@@ -353,7 +354,7 @@ def _medians(values: list[dict[str, float]]) -> dict[str, float]:
 
 
 def main() -> None:
-    """Measure, and say what was found."""
+    """Measure, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--raster", type=Path, required=True)
     parser.add_argument("--titiler-python", type=Path, required=True)

@@ -1,12 +1,12 @@
-"""The least that draws a scene: a forward renderer of one vertex and one fragment shader, by which frames are measured.
+"""A minimal forward renderer of one vertex and one fragment shader: the reference for frame times.
 
-It is what a reader of a tutorial would write. The ground's triangles and the meshes' are uploaded once, and so are the trees,
-one upright quad each that turns to the eye (in the depth map to the sun) and is cut out by the pictures of leaves that the
-engine has. Lambert's cosine and a sky from above light them, and where nothing is there is one colour. With a shadow, all
-casters are drawn anew into a depth map for every frame. Every picture is read back, as nobody sees it else.
+It is what a tutorial would write. The triangles of ground and meshes are uploaded once, and so are the trees: one upright quad each
+that turns to the eye (in the depth map to the sun), alpha-tested with the engine's pictures of leaves. Lambert's cosine and ambient
+light from above shade them, and the background has one colour. With a shadow, all casters are redrawn into a depth map for every
+frame. Every picture is read back, since no one sees it otherwise.
 
-What it leaves out is what the engine is for: shadow that is right, edges that are smooth, detail of the ground, haze, the sky's
-gradient, and choosing what is drawn.
+It leaves out the engine's purpose: right shadows, smooth edges, detail of the ground, haze, the sky's gradient, and choosing what
+is drawn.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MAP_BITS = 16
 NEAR_M, FAR_M = 0.5, 20_000.0
 
 SHADOWED_M = 400.0
-"""How far from the eye the depth map reaches: a square of so much to each side of the middle between the eye and that far ahead."""
+"""The reach of the depth map: half the side of a square, and how far its middle lies ahead of the eye."""
 
 SLOPE_BIAS = 1.5
 """Bias, in slopes of a triangle over a texel, for each tap of a side (glPolygonOffset); and some steps of depth."""
@@ -136,16 +136,16 @@ void main() {}
 
 
 class TaskResult(NamedTuple):
-    """The arrays of a program: what is opaque, and the trees, if there are any."""
+    """The vertex arrays of a program: the opaque surfaces, and the trees, if any."""
 
     opaque: moderngl.VertexArray
     trees: moderngl.VertexArray | None
 
 
 class Yardstick:
-    """A scene on the device, as seen from a view's eye and about it.
+    """A scene on the device, from a view's eye and nearby.
 
-    ``map_size`` is the side of the depth map in texels (0: no shadows), ``taps`` how many a side of it are compared.
+    ``map_size`` is the side of the depth map in texels (0: no shadows). ``taps`` is the number of texels a side that are compared.
     """
 
     def __init__(self, scene: Scene, view: PerspectiveView, map_size: int = 0, taps: int = 1) -> None:
@@ -174,7 +174,7 @@ class Yardstick:
         self._depth = self._drawn(DEPTH_FRAGMENT) if map_size else None
 
     def draw(self, scene: Scene, view: PerspectiveView) -> np.ndarray:
-        """The picture (rows, cols, 4) uint8 of a view from about there, under any sun."""
+        """Draw the picture (rows, cols, 4) uint8 of a view near that eye, under any sun."""
         gl = device()
         eye, camera_from_frame = view.in_frame(self._frame)
         light = daylight_in_frame(scene, self._frame)
@@ -227,7 +227,7 @@ class Yardstick:
             gl.render(drawn.trees, vertices=6, instances=self.trees)
 
     def _map(self, eye: np.ndarray, camera_from_frame: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
-        """The matrix (4, 4) from the frame to the depth map's clip space."""
+        """Return the matrix (4, 4) from the frame to the depth map's clip space."""
         right = np.cross([0.0, 0.0, 1.0], to_sun)
         right = right / max(float(np.linalg.norm(right)), 1e-9)
         axes = np.stack([right, np.cross(to_sun, right), -to_sun])
@@ -244,7 +244,7 @@ class Yardstick:
 
 
 def _opaque(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (n, 9) float32 of the ground and the meshes (points, normals, albedo), and triangles (m, 3) int32."""
+    """Return vertices (n, 9) float32 of the ground and the meshes (points, normals, albedo), and triangles (m, 3) int32."""
     shape = (1, len(ground.height_m))
     flat = np.zeros(shape, np.float32)
     points = ground.position_frame_m.reshape(*shape, 3)
@@ -265,7 +265,7 @@ def _opaque(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame: Loca
 
 
 def _used(program: moderngl.Program, names: tuple[str, ...], layout: str) -> tuple[list[str], str]:
-    """The attributes that a program has, and a layout that skips the others."""
+    """Return the attributes that a program has, and a layout that skips the others."""
     per_instance = layout.endswith("/i")
     words, used = [], []
     for name, word in zip(names, layout.removesuffix("/i").split(), strict=True):
@@ -278,7 +278,7 @@ def _used(program: moderngl.Program, names: tuple[str, ...], layout: str) -> tup
 
 
 def _clip(view: PerspectiveView, eye: np.ndarray, camera_from_frame: np.ndarray) -> np.ndarray:
-    """The matrix (4, 4) from the frame to clip space, row 0 of the picture first."""
+    """Return the matrix (4, 4) from the frame to clip space, row 0 of the picture first."""
     size = np.array([view.cols, view.rows])
     first = np.array([view.col0, view.row0])
     scale, shift = 2.0 * view.focal_px / (view.step * size), (1.0 - 2.0 * first / view.step) / size - 1.0

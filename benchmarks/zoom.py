@@ -1,15 +1,16 @@
-"""How much of a mountain map lies in shadow, zoom by zoom, what a block of coarse pixels takes, and what far casters lose.
+"""Shadow of a mountain map by zoom, time of a block of coarse pixels, and errors of far casters.
 
     python -m benchmarks.zoom FOLDER [--raster mountain/bigtujunga_30m_utm11.tif] [--sun 113 20] [--repeats 5] [--far-suns 0.7 3]
 
-**Shares.** Mean shadow of the raster below FOLDER in tiles of its own zoom and of those below: as drawn, by the pixels' own points
-over ground averaged to their size (as drawn before coarse pixels showed means), and as a mask.
+**Shares.** Mean shadow of the raster below FOLDER in tiles of its native zoom and of those below: as drawn, by the pixels' own
+points over ground averaged to their size (the former method), and as a mask.
 
-**Time and memory.** The raster, mirrored and repeated until blocks two zooms below are full of ground. A block as drawn and one by
-own points take turns; medians, in one process.
+**Time and memory.** The raster is mirrored and repeated until blocks two zooms below are full of ground. A block as drawn and one
+by own points take turns; medians, in one process.
 
-**Far casters.** Ground more than ``FULL_DETAIL_NODES`` from a block is read ever more coarsely. A block at the data's own zoom with
-and without that, under suns so low that shadows are long; and with a quarter and an eighth of that distance.
+**Far casters.** Ground more than ``FULL_DETAIL_NODES`` from a block is read at lower and lower detail. The benchmark compares a
+block at the data's native zoom with and without that, under suns so low that shadows are long; and with a quarter and an eighth of
+that distance.
 """
 
 from __future__ import annotations
@@ -43,18 +44,18 @@ MERCATOR = matrix_sets.get("WebMercatorQuad")
 ZOOMS_BELOW = 5
 
 MOSAIC_CELLS = 4608
-"""Cells a side of the ground that blocks are timed on."""
+"""Cells a side of the ground under the timed blocks."""
 
 
 def scene_of(raster: Path, folder: Path, sun: tuple[float, float]) -> Scene:
-    """The scene of a raster under a sun (azimuth, altitude)."""
+    """Return the scene of a raster under a sun (azimuth, altitude)."""
     level = {"version": 1, "terrain": {"source": str(raster.resolve())}, "sun": {"azimuth": sun[0], "altitude": sun[1]}}
     (folder / "level.yaml").write_text(json.dumps(level), encoding="utf-8")  # JSON is YAML
     return build_scene(load_level(folder / "level.yaml"))
 
 
 def mosaic_of(raster: Path, folder: Path) -> Path:
-    """A raster's middle, mirrored and repeated."""
+    """Return a raster's middle, mirrored and repeated."""
     with rasterio.open(raster) as dataset:
         rows, cols = (size // 2 * 2 for size in dataset.shape)
         heights, profile = dataset.read(1)[4 : rows - 4, 4 : cols - 4].astype(np.float32), dataset.profile
@@ -67,17 +68,17 @@ def mosaic_of(raster: Path, folder: Path) -> Path:
 
 
 def own_zoom(scene: Scene) -> int:
-    """The coarsest zoom of Web Mercator whose pixels go by their own points."""
+    """Return the coarsest zoom of Web Mercator whose pixels use their own points."""
     return next(zoom for zoom in range(25) if subdivision_level(scene, block_of(scene, zoom)) == 0 and narrow(scene, zoom))
 
 
 def narrow(scene: Scene, zoom: int) -> bool:
-    """Whether pixels of a zoom are less than 1.5 cells wide."""
+    """Return whether pixels of a zoom are less than 1.5 cells wide."""
     return scene.surface(tile_grid(MERCATOR, zoom)).cells_per_step < 1.5
 
 
 def whole_view(scene: Scene, zoom: int) -> MapView:
-    """All of a level in pixels of a zoom."""
+    """Return all of a level in pixels of a zoom."""
     grid = tile_grid(MERCATOR, zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
     row, col = int(np.floor(north)), int(np.floor(west))
@@ -85,14 +86,14 @@ def whole_view(scene: Scene, zoom: int) -> MapView:
 
 
 def block_of(scene: Scene, zoom: int, east: float = 0.5) -> MapView:
-    """As many pixels of a zoom as a block of tiles has, round the level's middle or a share of its width further on."""
+    """Return a view with as many pixels of a zoom as a block of tiles, round the level's middle or at a share of its width."""
     view = whole_view(scene, zoom)
     row, col = view.row0 + view.rows // 2 - BLOCK_PX // 2, view.col0 + int(view.cols * east) - BLOCK_PX // 2
     return MapView(view.grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
 def visibility_of(scene: Scene, view: MapView, pixel_sampling: PixelSampling, algorithm: str) -> np.ndarray:
-    """Visibility (n,) of the pixels that show ground."""
+    """Return visibility (n,) of the pixels that show ground."""
     asked = {} if algorithm == "auto" else {"algorithm": algorithm}
     plan = make_plan(describe(scene, view, pixel_sampling=pixel_sampling), scene.loaded.level, asked)
     frame = render_frame(scene, view, plan, pixel_sampling=pixel_sampling)
@@ -115,7 +116,7 @@ def shares(scene: Scene, algorithm: str) -> None:
 
 
 def times(scene: Scene, repeats: int) -> None:
-    """Print what blocks of coarse pixels take."""
+    """Print times of blocks of coarse pixels."""
     own = own_zoom(scene)
     print("| zoom | pieces of a pixel | block, ms | by own points, ms | ratio |\n| --- | --- | --- | --- | --- |")
     for zoom in range(own - 1, own - 5, -1):
@@ -127,7 +128,7 @@ def times(scene: Scene, repeats: int) -> None:
                 clear_caches("light")
                 log, start = PassLog(), time.perf_counter()
                 render_block(scene, view, plan, log, show)
-                if repeat:  # the first one compiles
+                if repeat:  # the first round compiles
                     found.setdefault(show, []).append(((time.perf_counter() - start) * 1000.0, log))
         ms = {show: float(np.median([each for each, _ in runs])) for show, runs in found.items()}
         ratio = float(np.median([a / b for (a, _), (b, _) in zip(found["means"], found["points"], strict=True)]))
@@ -141,7 +142,7 @@ def times(scene: Scene, repeats: int) -> None:
 
 
 def far_casters(scene: Scene, sun: tuple[float, float]) -> None:
-    """Print what averaged casters far away miss, and what they invent."""
+    """Print the shadow that averaged far casters miss, and false shadow."""
     scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
     view = block_of(scene, own_zoom(scene), east=0.12)
     plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "sweep"})

@@ -41,7 +41,7 @@ class PlanOptions:
     unmeasured
         Reasons why algorithms are not among the options.
     observed_basis
-        Word for figures of observed options.
+        Word for the origin of observed figures, such as "measured".
     """
 
     planner: Planner

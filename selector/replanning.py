@@ -12,8 +12,8 @@ Algorithms, map sizes and numbers of cascades are kept while they serve. A new c
 
 Two plans with an error of a few per cent of the cast shadow differ in up to some per cent of the pixels. Most of these lie on
 edges, where errors do not count. So the previous plan is drawn in parallel, for as many frames as are needed to keep each frame's
-change below ``MAX_CHANGED``, and ``mix_pictures`` mixes the two pictures. The expected number of frames is far too low;
-``Replanner.share`` derives the real one from the two pictures.
+change below ``MAX_CHANGED``, and ``mix_pictures`` mixes the two pictures. The expected number of frames underestimates the real
+one; ``Replanner.share`` derives the real one from the two pictures.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SWITCH_ERROR_GAIN = 0.1
 """Share of the target by which the kept plan must miss it more than the new one, for the new one to count as better."""
 
 PATIENCE = 5
-"""Better plans in a row that a switch takes."""
+"""Number of consecutive better plans before a switch."""
 
 IMMEDIATE_SWITCH_OVERSHOOT = 0.5
 """Overshoot, as a share of the target, that leads to an immediate switch."""
@@ -130,9 +130,9 @@ class Replanner:
     ...     plan = replanner.plan(describe(scene, view, "flight"), level)
     ...     frame = render_frame(scene, view, plan)
     ...     color = frame.color
-    ...     if replanner.handover is not None:
-    ...         before = render_frame(scene, view, replanner.handover.plan)
-    ...         color = mixed_pictures(before.color, color, replanner.share(before.visibilities, frame.visibilities))
+    ...     if replanner.transition is not None:
+    ...         before = render_frame(scene, view, replanner.transition.plan)
+    ...         color = mix_pictures(before.color, color, replanner.share(before.visibilities, frame.visibilities))
     """
 
     def __init__(

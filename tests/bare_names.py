@@ -1,4 +1,6 @@
-"""Refuses to import a folder of the repository by its bare name: it would be a second copy of the modules of ``skugga``."""
+"""Refuse imports of a folder of the repository by its bare name. Such an import would load a second copy of a module of
+``skugga``.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +11,11 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 PARTS = frozenset({"api", "configs", "selector", "shadows", "terrain"})
-"""The folders, which are packages inside of ``skugga``."""
+"""Folders that are packages inside ``skugga``."""
 
 
 class BareNameFinder(MetaPathFinder):
-    """Answers every bare name with an error, before anything else looks for it."""
+    """Import finder that raises an error for every bare name, before any other finder searches for it."""
 
     def find_spec(self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
         if fullname.partition(".")[0] in PARTS:
@@ -22,5 +24,5 @@ class BareNameFinder(MetaPathFinder):
 
 
 def refuse_bare_names() -> None:
-    """Refuse them from now on, in this process."""
+    """Refuse bare names from now on, in this process."""
     sys.meta_path.insert(0, BareNameFinder())

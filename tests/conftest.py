@@ -1,4 +1,4 @@
-"""Shared fixtures: rasters and levels made from parameters, the OpenGL device with an error check round each test."""
+"""Shared fixtures: rasters and levels made from parameters, and the OpenGL device with an error check around each test."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ pytest_plugins = ["tests.hard_cases.table"]
 
 refuse_bare_names()
 
-# No deadline: the first example of a property may compile a loop. The same examples each time; `make hunt` draws others.
+# No deadline: the first example of a property may compile a loop. Examples are the same each time; `make hunt` draws others.
 settings.register_profile("skugga", deadline=None, derandomize=True)
 settings.load_profile("skugga")
 
@@ -37,7 +37,7 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile all loops in parallel before the first test of a run in several processes, which would compile the same ones."""
+    """Compile all loops in parallel before a run in several processes, which would otherwise compile the same loops."""
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         compile_ahead(PRODUCTS, usable_cores())
 
@@ -48,7 +48,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.fixture
 def gl():
-    """The process's OpenGL device; a test that leaves an OpenGL error behind fails."""
+    """Return the process's OpenGL device. A test that leaves an OpenGL error behind fails."""
     from skugga.terrain.gl.device import device
 
     owner = device()
@@ -68,8 +68,10 @@ def _no_gl_error_left() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Iterator[None]:
-    """Caches of the machine, its calibration among them, must not reach a test, nor a service that many tests share, which must not
-    calibrate it either. What is compiled stays from run to run: Mesa's shaders in pytest's cache, loops in the user's store.
+    """Keep the machine's caches, its calibration among them, from tests and from services that many tests share.
+
+    Services must not calibrate the device either. Compiled code stays from run to run: Mesa's shaders in pytest's cache,
+    loops in the user's store.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SKUGGA_CALIBRATE_WHEN_IDLE", "false")
@@ -82,8 +84,11 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Co
 
 @pytest.fixture(scope="session", autouse=True)
 def _forked_render_processes(_own_cache: None, pytestconfig: pytest.Config) -> Iterator[None]:
-    """Render processes of services in the tests' own process are forked from one that has imported what they need, which takes
-    seconds, and has no OpenGL. Services in processes of their own, of ``tests/api/http/test_serve.py``, spawn them as users do.
+    """Fork render processes of services in the tests' own process from one that has imported their modules and has no
+    OpenGL.
+
+    The imports take seconds. Services in separate processes, as in ``tests/api/http/test_serve.py``, spawn them as for
+    users.
     """
     with pytest.MonkeyPatch.context() as patch:
         forkserver = get_context("forkserver")
@@ -97,7 +102,7 @@ def _forked_render_processes(_own_cache: None, pytestconfig: pytest.Config) -> I
 
 @pytest.fixture(autouse=True)
 def _clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Settings of the machine must not reach a test."""
+    """Remove settings of the machine from the environment."""
     for name in os.environ:
         if name.startswith("SKUGGA_") and name not in (
             "SKUGGA_EXPECT_RENDERER",
@@ -109,13 +114,13 @@ def _clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def _log_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A service that another test ran has kept its log to itself since."""
+    """Let the log propagate again: a service of another test may have stopped that."""
     monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
 
 
 @pytest.fixture
 def write_raster(tmp_path: Path) -> Callable[..., Path]:
-    """``write_raster(heights, crs, x0, y0, cell)`` writes a GeoTIFF whose north-west corner is (x0, y0)."""
+    """Return ``write_raster(heights, crs, x0, y0, cell)``, which writes a GeoTIFF whose north-west corner is (x0, y0)."""
 
     def write(
         heights: np.ndarray,
@@ -133,7 +138,7 @@ def write_raster(tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.fixture
 def make_scene(tmp_path: Path) -> Callable[..., Scene]:
-    """``make_scene(raster, azimuth, altitude)`` builds the scene of a level over a raster."""
+    """Return ``make_scene(raster, azimuth, altitude)``, which builds the scene of a level over a raster."""
 
     def make(source: Path | str, azimuth: float = 180.0, altitude: float = 30.0, **keys) -> Scene:
         terrain = {"source": str(source), **keys.pop("terrain", {})}
@@ -148,7 +153,7 @@ def make_scene(tmp_path: Path) -> Callable[..., Scene]:
 
 @pytest.fixture
 def shared_data() -> Path:
-    """The folder of real rasters, beside the repository where it is there."""
+    """Return the folder of real rasters beside the repository, or skip the test without it."""
     if not SHARED_DATA.is_dir():
         pytest.skip(f"no sample rasters at {SHARED_DATA}")
     return SHARED_DATA
@@ -156,7 +161,7 @@ def shared_data() -> Path:
 
 @pytest.fixture
 def full_disk() -> Callable[[int], AbstractContextManager[None]]:
-    """``with full_disk(count):`` no file gets longer than so many bytes: further ones are refused, as by a disk that is full."""
+    """Return a context manager ``full_disk(count)`` in which no file can exceed ``count`` bytes, as on a full disk."""
 
     @contextmanager
     def fill(count: int) -> Iterator[None]:

@@ -1,4 +1,4 @@
-"""Copies of the house with something more in them: what a change touches is tried by making it."""
+"""Modified copies of the repository: tests make a change on a copy and observe its effects."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("skugga", "terrain", "shadows", "selector", "api", "configs", "tests")
 
 Edits = Mapping[str, tuple[tuple[str, str], ...]]
-"""File -> what stands there once, and what shall stand there. A file that is not there begins as an empty one."""
+"""File -> pairs of a text that occurs once and its replacement. A missing file begins empty."""
 
 
 def copy_with(folder: Path, edits: Edits) -> Path:
-    """A copy of all floors, and of the tests, with some files changed."""
+    """Copy all packages and the tests, change some files, and return the copy's folder."""
     house = folder / "house"
     for floor in COPIED:
         shutil.copytree(ROOT / floor, house / floor, symlinks=True, ignore=shutil.ignore_patterns("static", "golden"))
@@ -34,7 +34,7 @@ def copy_with(folder: Path, edits: Edits) -> Path:
 
 
 def said_in(house: Path, module: str, *arguments: str | Path) -> Any:
-    """What a module prints as JSON, run by itself on a copy."""
+    """Run a module on a copy, and return the JSON that it prints."""
     environment = {**os.environ, "PYTHONPATH": str(house), "COLUMNS": "120", "TERM": "dumb"}
     command = [sys.executable, "-m", module, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=house, env=environment, timeout=300)

@@ -1,8 +1,8 @@
-"""Golden pictures: compared on the one rasteriser they were made on, 1 of 255 per channel; on another one within its tolerance.
+"""Golden pictures: within 1 of 255 per channel on their own rasteriser, within its tolerance on another one.
 
-On a failure the actual picture, the expected one and their magnified difference lie in ``tests/output``. A missing
-picture is written off CI and fails on CI. ``pytest --regenerate-goldens`` writes them anew: look at each before it is
-committed. They are made on that rasteriser alone.
+On a failure ``tests/output`` has the actual picture, the expected one and their magnified difference. A missing picture is
+written outside CI and fails on CI. ``pytest --regenerate-goldens`` rewrites them: look at each before the commit. They are
+made only on that rasteriser.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ TOLERANCE = 1
 TOLERANCE_ELSEWHERE, MAX_OFF_ELSEWHERE = 32, 0.005
 """On another renderer than ``RENDERER`` five pixels in a thousand may differ by more than 32 of 255.
 
-OpenGL leaves open how finely corners are rounded, how depths between them are, and which pixels a line covers. So a pixel through
-whose centre an edge nearly goes falls to the other side, and differs by all that is between the two; no other one does. A
-perspective shadow map is laid round the points that are seen: other pixels at edges, and all of its texels lie elsewhere, which
-moves the soft edges of shadows by parts of a texel. Measured: 0 to 0.01 % of the pixels on Mesa's softpipe, up to 0.3 % with
-perspective maps, 0.45 % where silhouettes are drawn as lines. A picture that is moved by a pixel, or lacks volumes, is beyond it.
+OpenGL does not specify the rounding of vertices, the interpolation of depths, and the pixels that a line covers. So a pixel whose
+centre lies almost on an edge may change sides, and then differs by the full contrast. No other pixel changes. A perspective shadow
+map is fitted to the visible points: if pixels at edges change, all of its texels move, and with them the soft edges of shadows by
+parts of a texel. Measured: 0 to 0.01 % of the pixels on Mesa's softpipe, up to 0.3 % with perspective maps, 0.45 % where
+silhouettes are drawn as lines. A picture shifted by a pixel, or without volumes, exceeds the tolerance.
 """
 
 FOLDER = Path(__file__).parent / "golden"
@@ -36,9 +36,9 @@ def assert_golden(
 ) -> None:
     """Compare a uint8 picture (gray, RGB or RGBA) with ``golden/NAME.png``.
 
-    A share ``most_off`` of its pixels may differ by more than ``tolerance`` of 255; on another renderer, more may.
+    A share ``most_off`` of its pixels may differ by more than ``tolerance`` of 255. On another renderer, more may.
     """
-    at_home = renderer.startswith(RENDERER)  # which "zink (llvmpipe)" is not
+    at_home = renderer.startswith(RENDERER)  # not true for "zink (llvmpipe)"
     if not at_home:
         assert not regenerate, f"golden pictures are made on {RENDERER}; this is {renderer}"
         tolerance, most_off = max(tolerance, TOLERANCE_ELSEWHERE), max(most_off, MAX_OFF_ELSEWHERE)

@@ -1,4 +1,4 @@
-"""What tests alone hold the engine to: the visibility of the sun's disc at every pixel, and flicker from frame to frame."""
+"""Metrics for tests only: the visibility of the sun's disc at every pixel, and flicker from frame to frame."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from skugga.terrain.scene import Scene
 
 
 def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 64) -> np.ndarray:
-    """Visibility (rows, cols) of the sun's disc at a buffer's points: the reference of filtered variants; NaN off the surface."""
+    """Return the visibility (rows, cols) of the sun's disc at a buffer's points, NaN off the surface: the reference of soft
+    filters.
+    """
     visibility = truth.fill(buffer, scene, SUN, truth.ALL_KINDS, casters, TruthSettings(light_samples=samples), PassLog())
     return np.where(buffer.valid, visibility, np.nan)
 
@@ -22,9 +24,9 @@ def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: 
 def flicker(
     dark: np.ndarray, next_dark: np.ndarray, true_dark: np.ndarray, next_true_dark: np.ndarray, comparable: np.ndarray
 ) -> float:
-    """Share of fixed world points whose class changes from one frame to the next though truth's does not.
+    """Return the share of fixed world points whose class changes from one frame to the next although truth's does not.
 
-    Arrays hold the same points in both frames; ``comparable`` are those decidable in both.
+    Arrays hold the same points in both frames. ``comparable`` marks points that are decidable in both.
     """
     steady = comparable & (true_dark == next_true_dark)
     return float(np.count_nonzero(steady & (dark != next_dark)) / max(np.count_nonzero(steady), 1))

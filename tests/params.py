@@ -1,4 +1,4 @@
-"""Parameters of which a few are enough in seconds, and all of them in minutes."""
+"""Parameters of which a few run by default, and all in the long profile."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 
 def quick(values: Iterable[Any], *chosen: Any) -> list[Any]:
-    """The values as parameters: the chosen ones as they are, all others marked ``long``. A chosen one that is none is an error."""
+    """Return values as parameters, all but the chosen ones marked ``long``. Fail if a chosen value is missing."""
     values = list(values)
     assert all(one in values for one in chosen), chosen
     return [

@@ -1,7 +1,8 @@
-"""What all front ends make of something more, printed as JSON: run by ``tests.copies`` on a copy of the house.
+"""Run every front end with an added feature, and print their answers as JSON. ``tests.copies`` runs this on a modified
+copy.
 
-``python -m tests.probe LEVEL setting|product|parameter``. Its render process draws nothing, but for a product: it answers with what
-it was told.
+``python -m tests.probe LEVEL setting|product|parameter``. Its render process draws nothing, except for a product: it
+answers with its job.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ TILE, SNAPSHOT, PLAN = f"{TILES}.png", "/levels/hills/snapshot.png", "/levels/hi
 
 
 def told(pipe: Connection, config: WorkerConfig) -> None:
-    """A render process that answers with the job's wishes, and under which sun it would draw."""
+    """Run a render process that answers with the job's options and the sun that it would draw under."""
     pipe.send(Ready("told"))
     while True:
         try:
@@ -88,7 +89,7 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
 
 
 def command(*arguments: str) -> tuple[int, str, str]:
-    """Exit status, standard output and standard error of ``skugga``."""
+    """Return exit status, standard output and standard error of ``skugga``."""
     sys.argv = ["skugga", *arguments]
     with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
         try:
@@ -100,7 +101,7 @@ def command(*arguments: str) -> tuple[int, str, str]:
 
 
 def asked_of(document: dict[str, Any], name: str) -> dict[str, Any]:
-    """A parameter by the paths that take it."""
+    """Return the description of a parameter by the paths that accept it."""
     return {
         path: parameter
         for path, methods in document["paths"].items()
@@ -111,7 +112,7 @@ def asked_of(document: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
-    """A setting ``gloss`` of ``dull`` or ``bright``."""
+    """Return answers about a setting ``gloss`` of ``dull`` or ``bright``."""
     from skugga.api.report.plan_text import format_plan
     from skugga.selector.pin import pinned_text, pins
     from skugga.selector.planner.planner import make_plan
@@ -179,7 +180,7 @@ def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
 
 
 def plane(raster: Path) -> None:
-    """Write ground that rises 0.75 to the east for each unit of the map in the place of a raster's own."""
+    """Overwrite a raster with ground that rises 0.75 to the east for each unit of the map."""
     import rasterio
 
     with rasterio.open(raster, "r+") as dataset:
@@ -188,7 +189,9 @@ def plane(raster: Path) -> None:
 
 
 def product(level: Path, client: httpx.Client) -> dict[str, Any]:
-    """A product ``steepness`` of ground that rises 0.75 to the east for each metre of the map, by a ``gain`` of 2."""
+    """Return answers about a product ``steepness`` with a ``gain`` of 2, of ground that rises 0.75 to the east for each
+    metre of the map.
+    """
     import rasterio
     from morecantile import tms as matrix_sets
     from PIL import Image
@@ -201,7 +204,7 @@ def product(level: Path, client: httpx.Client) -> dict[str, Any]:
     raster, archive = folder / "steepness.tif", folder / "steepness.pmtiles"
 
     def inside(array: np.ndarray, rim: int = 4) -> list[float]:
-        """The least and the greatest value within the data, and the share of its pixels that have one."""
+        """Return the minimum and maximum within the data, and the share of valid pixels there."""
         known = np.isfinite(array)
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         part = array[rows[0] + rim : rows[-1] - rim + 1, cols[0] + rim : cols[-1] - rim + 1]
@@ -213,7 +216,7 @@ def product(level: Path, client: httpx.Client) -> dict[str, Any]:
         return np.load(io.BytesIO(answer.content))
 
     def colors(content: bytes) -> list[list[int]]:
-        """The colours in the middle of a picture."""
+        """Return the colours in the centre of a picture."""
         picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGBA"))
         rows, cols = (np.flatnonzero((picture[..., 3] == 255).any(axis=axis)) for axis in (1, 0))
         part = picture[rows[0] + 4 : rows[-1] - 3, cols[0] + 4 : cols[-1] - 3]
@@ -270,7 +273,7 @@ def product(level: Path, client: httpx.Client) -> dict[str, Any]:
 
 
 def parameter(level: Path, client: httpx.Client) -> dict[str, Any]:
-    """A parameter ``raised``: degrees that the sun stands higher."""
+    """Return answers about a parameter ``raised``: degrees added to the sun's altitude."""
     asked = {"azimuth": 200, "altitude": 30, "raised": 12}
     suns = ({"azimuth": 200, "altitude": 30}, asked)
     return {

@@ -1,4 +1,4 @@
-"""Products as tests compute them: rasters under suns, hours of sun, and blocks of maps drawn the fast way or by frames."""
+"""Products for tests: rasters under suns, hours of sun, and blocks of maps drawn by the fast path or by frames."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def write_shade(
     paths: Sequence[Path],
     on_step: OnBlock | None = None,
 ) -> None:
-    """Write a product under some suns, a file each."""
+    """Write a product under several suns, one file each."""
     write_rasters(scene, raster, [ProductRequest(product=product, sun=sun) for sun in suns], paths, {}, on_step)
 
 
@@ -46,12 +46,12 @@ def sun_hours_of(**options: Any) -> ProductRequest:
 
 
 def drawn(scene: Scene, view: MapView, plan: Plan) -> Picture:
-    """Return what a map shows, drawn in the fastest way."""
+    """Return the picture of a map, drawn by the fastest path."""
     return draw(scene, view, plan, SHADED)
 
 
 def drawn_by_heights(scene: Scene, view: MapView, plan: Plan) -> Picture | None:
-    """Return what a block shows, drawn by the loops over heights, with the passes that ran; ``None`` where these do not suffice."""
+    """Return the picture of a block with its passes, drawn by the loops over heights; ``None`` if these do not suffice."""
     log = PassLog()
     picture = ground_picture(apply_refraction(scene, plan, log), view, plan, SHADED, log)
     return None if picture is None else Picture(**{**vars(picture), "passes": tuple(log.records.values())})

@@ -1,4 +1,4 @@
-"""Rendering for tests: a scene and a view through the same path that users take."""
+"""Rendering for tests: a scene and a view on the same path as for users."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ def plan_of(scene: Scene, view: MapView, **overrides: Any) -> Plan:
 
 
 def render(scene: Scene, view: MapView | None = None, **overrides: Any) -> Frame:
-    """A frame; ``overrides`` are map_size, depth_bits, filter, algorithm."""
+    """Return a frame. ``overrides`` are map_size, depth_bits, filter, algorithm."""
     view = view or scene.view()
     return render_frame(scene, view, plan_of(scene, view, **overrides))
 
 
 def render_points(scene: Scene, view: MapView | None = None, **overrides: Any) -> Frame:
-    """The same without what is shown of edges, which takes the longer part: for who looks at visibility, of pixels' own points."""
+    """Return a frame without antialiasing of edges, its slower part. It suffices for tests of visibility at pixel centres."""
     view = view or scene.view()
     return render_frame(scene, view, plan_of(scene, view, **overrides), pixel_sampling="points")
 
 
 def shadow(frame: Frame) -> np.ndarray:
-    """The class of each pixel: True in shadow, False where lit or where there is no surface."""
+    """Return the class of each pixel: True in shadow, False where lit or without a surface."""
     return np.nan_to_num(frame.visibility, nan=1.0) < 0.5
 
 
 def block_at(lon: float, lat: float, zoom: int, tms: str = "WebMercatorQuad") -> MapView:
-    """The block of the tile that holds a place."""
+    """Return the block of the tile that contains a place."""
     matrix_set = matrix_sets.get(tms)
     tile = matrix_set.tile(lon, lat, zoom)
     row, col = (index * 256 // BLOCK_PX * BLOCK_PX for index in (tile.y, tile.x))

@@ -1,10 +1,12 @@
 """A second rasteriser: ``pytest -p tests.softpipe`` with ``SOFTPIPE`` in the environment runs tests on Mesa's softpipe.
 
-It is a slow one of Mesa's own, and no kin of llvmpipe. It says of itself that it knows OpenGL 3.3, and has two faults of its own:
+softpipe is a slow rasteriser of Mesa that shares no code with llvmpipe. It reports OpenGL 3.3, and has two faults of its
+own:
 
-* It drops triangles whose fragment shader asks ``gl_PrimitiveID``. Here their vertices are drawn one by one, which number them.
-* Where an offset of depths is asked for it clamps them at a triangle's corners, not in its pixels, so that volumes which go on to
-  infinity lie askew. In maps, where they begin far off, parts of their shadows are missing (``BEYOND_IT``).
+* It drops triangles whose fragment shader reads ``gl_PrimitiveID``. The plugin draws their vertices one by one, which
+  numbers them.
+* With a polygon offset it clamps depths at a triangle's corners instead of its pixels, so infinite volumes are skewed. In
+  maps, where they begin far away, parts of their shadows are missing (``BEYOND_IT``).
 """
 
 from __future__ import annotations
@@ -52,5 +54,5 @@ def _one_by_one(
 
 
 def pytest_configure() -> None:
-    """It is this process's plugin."""
+    """Install the workarounds: this module is a plugin of the process."""
     Device.program, Device.uploaded_mesh = _numbering, _one_by_one  # type: ignore[method-assign]

@@ -1,7 +1,7 @@
-"""What a change touches, held by making it on a copy: a setting of shadows, a product, another query parameter of a picture.
+"""The files that an addition touches, tested on a copy: a shadow setting, a product, a query parameter of a picture.
 
-Each is added in the files that are named here and nowhere else, and found in all that users touch. ``docs/contributing.md`` has
-the same numbers of files.
+Each is added only in the files named here, and appears in every interface. ``docs/contributing.md`` has the same numbers of
+files.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ ACROSS = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.5
 
 @pytest.fixture
 def said(tmp_path: Path):
-    """``said(edits, what)`` is what the probe says on a copy with those edits."""
+    """Return ``said(edits, what)``, which returns the output of the probe on a copy with those edits."""
 
     def say(edits: Edits, what: str) -> dict:
         return said_in(copy_with(tmp_path, edits), "tests.probe", write_level(tmp_path, "hills", views={"across": ACROSS}), what)
@@ -94,12 +94,12 @@ def said(tmp_path: Path):
     return say
 
 
-def test_files_to_edit():
-    """As ``docs/contributing.md`` has it; who reads the new thing comes on top."""
+def test_additions_edit_the_documented_number_of_files():
+    """``docs/contributing.md`` has these numbers. Code that reads the new thing is extra."""
     assert [len(edits) for edits in (A_SETTING, A_PRODUCT, A_PARAMETER)] == [1, 1, 2]
 
 
-def test_a_setting_more_is_everywhere(said):
+def test_a_new_setting_appears_in_every_interface(said):
     found = said(A_SETTING, "setting")
 
     value, refusal = found["level file"]
@@ -141,8 +141,8 @@ def test_a_setting_more_is_everywhere(said):
     assert found["candidate"].endswith("-bright")
 
 
-def test_a_product_more_is_everywhere(said, tmp_path):
-    """On ground that rises 0.75 to the east for each metre of the map, by a factor of 2: 1.5 wherever it is asked for."""
+def test_a_new_product_appears_in_every_interface(said, tmp_path):
+    """The ground rises 0.75 to the east for each metre of the map. By a factor of 2 the result is 1.5 in every interface."""
     found = said(A_PRODUCT, "product")
     for door in ("command", "python", "tile", "double tile", "map", "across blocks"):
         low, high, share = found[door]
@@ -173,13 +173,13 @@ def test_a_product_more_is_everywhere(said, tmp_path):
     assert status == 2 and "layer: 'steepness' is not allowed. Allowed: the layers of a perspective view: color" in err
 
 
-def test_without_its_record_there_is_no_product(said):
-    """The probe sees the record, not something else."""
+def test_without_its_record_a_product_is_unknown(said):
+    """This shows that the probe depends on the record."""
     with pytest.raises(AssertionError, match="No such option: --gain"):
         said({}, "product")
 
 
-def test_a_parameter_more_reaches_the_picture_and_its_tags(said):
+def test_a_new_parameter_reaches_picture_and_entity_tags(said):
     found = said(A_PARAMETER, "parameter")
     assert len(found["openapi"]) == 7
     for headline in found["http"]:

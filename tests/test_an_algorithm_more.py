@@ -1,5 +1,7 @@
-"""A new algorithm is one record: one made up here is validated in a level, planned, refused, drawn, kept, compared, calibrated and
-chosen like any other. And those that there are, are named in few places.
+"""A new algorithm is one record: the made-up one here is validated, planned, refused, drawn, cached, compared, calibrated
+and chosen.
+
+The existing algorithms are named in few places.
 """
 
 from __future__ import annotations
@@ -57,20 +59,20 @@ PASSES = ("coarse rays",)
 TOO_NEAR = "coarse rays are for what is far away, as the sun is"
 
 answers: dict[str, Cache[np.ndarray]] = {}
-"""The cache, while the algorithm is registered: caches that are there belong to all tests of a process."""
+"""The algorithm's cache while it is registered. Other caches belong to all tests of a process."""
 
 cast: list[int] = []
-"""How many rays each call cast."""
+"""Number of rays that each call cast."""
 
 
 class CoarseRaysSettings(AlgorithmSettings):
-    """A ray for each square of so many pixels a side."""
+    """Settings of one ray for each square of so many pixels a side."""
 
     square_px: int
 
 
 def fill(buffer, scene, light, kinds, casters, settings, log):
-    """Visibility by rays from one pixel of each square, which speaks for all of it."""
+    """Return visibility by rays from one pixel of each square, which stands for all of the square."""
     (rays_pass,) = log.named(light, kinds, PASSES)
     with log.run(rays_pass):
         found = answers["kept"].get(scene, buffer.view, light, kinds, settings)
@@ -116,7 +118,7 @@ ALGORITHM = Algorithm(
 
 @pytest.fixture
 def registered() -> Iterator[Callable[[Algorithm], None]]:
-    """What registers an algorithm for the time of a test."""
+    """Yield a function that registers an algorithm for the duration of a test."""
     before, names = dict(ALGORITHMS), list(ALGORITHM_NAMES)
     yield register_algorithm
     ALGORITHMS.clear()
@@ -149,7 +151,7 @@ def level_file(tmp_path: Path, **keys) -> Path:
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Scene:
-    """Ridges under the sun alone."""
+    """Return ridges under the sun alone."""
     return build_scene(load_level(level_file(tmp_path, lights={})))
 
 
@@ -157,21 +159,21 @@ def plan_by(scene: Scene, view, **asked) -> Plan:
     return make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "coarse_rays", **asked})
 
 
-def test_a_level_may_name_it(coarse_rays, tmp_path):
+def test_a_level_may_name_a_new_algorithm(coarse_rays, tmp_path):
     loaded = load_level(level_file(tmp_path, shadows={"algorithm": {"relief": "coarse_rays"}}))
     assert loaded.level.shadows.algorithm == {"relief": "coarse_rays"}
     assert load_level(level_file(tmp_path, shadows={"algorithm": "coarse_rays"})).level.shadows.algorithm == "coarse_rays"
     assert served_algorithms()[-1] == "coarse_rays"
-    with pytest.raises(LevelError, match="coarse_rays"):  # taken: no light may be called so
+    with pytest.raises(LevelError, match="coarse_rays"):  # a light may not have the name of an algorithm
         load_level(level_file(tmp_path, lights={"coarse_rays": LEVEL["lights"]["lamp"]}))
 
 
-def test_until_it_is_registered_nobody_knows_it(tmp_path):
+def test_an_unregistered_algorithm_is_refused(tmp_path):
     with pytest.raises(LevelError, match=r"shadows\.algorithm: .*'coarse_rays'.*shadow_map"):
         load_level(level_file(tmp_path, shadows={"algorithm": "coarse_rays"}))
 
 
-def test_it_is_planned_with_its_own_settings_and_survives_json(coarse_rays, scene):
+def test_a_plan_has_the_new_settings_and_survives_json(coarse_rays, scene):
     view = scene.view(size=(64, 64))
     plan, coarser = plan_by(scene, view), plan_by(scene, view, map_size=512)
     assert plan.settings[SUN]["relief"] == CoarseRaysSettings(square_px=4)
@@ -184,7 +186,7 @@ def test_it_is_planned_with_its_own_settings_and_survives_json(coarse_rays, scen
     assert "coarse_rays" in {one.name for one in by_maps.rejected}
 
 
-def test_it_is_refused_where_it_cannot_serve(coarse_rays, tmp_path):
+def test_a_new_algorithm_is_refused_where_unsupported(coarse_rays, tmp_path):
     lit = build_scene(load_level(level_file(tmp_path)))
     view = lit.view(size=(64, 64))
     with pytest.raises(UnsupportedError, match=f"coarse_rays for relief under lamp.*{TOO_NEAR}; algorithms that can: shadow_map"):
@@ -194,8 +196,8 @@ def test_it_is_refused_where_it_cannot_serve(coarse_rays, tmp_path):
     )
 
 
-def test_it_draws_and_what_it_keeps_is_forgotten(gl, coarse_rays, scene):
-    drawn = partial(render_frame, pixel_sampling="points")  # by whose edges nothing more is cast
+def test_a_new_algorithm_draws_and_its_cache_is_cleared(gl, coarse_rays, scene):
+    drawn = partial(render_frame, pixel_sampling="points")  # antialiasing of edges would cast more rays
     view = scene.view(size=(64, 64))
     whole = drawn(scene, view, plan_by(scene, view, map_size=4096)).visibility
     truth = drawn(scene, view, make_plan(describe(scene, view), scene.loaded.level, {"algorithm": "truth"})).visibility
@@ -205,7 +207,7 @@ def test_it_draws_and_what_it_keeps_is_forgotten(gl, coarse_rays, scene):
     differs = frame.visibility[frame.valid] != truth[frame.valid]
     assert 0.0 < differs.mean() < 0.2 and len(cast) == 2
     again = drawn(scene, view, plan_by(scene, view))
-    assert np.array_equal(again.visibility, frame.visibility, equal_nan=True) and len(cast) == 2  # it was kept
+    assert np.array_equal(again.visibility, frame.visibility, equal_nan=True) and len(cast) == 2  # it was cached
 
     (cache,) = (each for each in caches("light") if each.name in ALGORITHM.keeps)
     assert len(cache) > 0
@@ -217,7 +219,7 @@ def test_it_draws_and_what_it_keeps_is_forgotten(gl, coarse_rays, scene):
     assert len(cache) == 0
 
 
-def test_it_is_compared(gl, coarse_rays, scene):
+def test_a_new_algorithm_is_compared(gl, coarse_rays, scene):
     view = scene.view(size=(96, 96))
     names = {name_of(plan) for plan in candidates(scene, view)}
     assert {"coarse_rays-4", "coarse_rays-1", "coarse_rays-8"} <= names
@@ -229,7 +231,7 @@ def test_it_is_compared(gl, coarse_rays, scene):
     assert mark_of("coarse_rays") == ALGORITHM.mark
 
 
-def test_it_is_calibrated(gl, coarse_rays, monkeypatch):
+def test_a_new_algorithm_is_calibrated(gl, coarse_rays, monkeypatch):
     monkeypatch.setattr(calibration, "TIMING_ROUNDS", 2)
     monkeypatch.setattr(
         calibration,
@@ -242,7 +244,7 @@ def test_it_is_calibrated(gl, coarse_rays, monkeypatch):
 
 
 def device(**rates: dict[str, float]) -> DeviceProfile:
-    """A device on which maps and volumes take long."""
+    """Return a device on which maps and volumes are slow."""
     slow = {
         "shadow_map, map": {"blocks": 90e6}, "silhouettes, map": {"blocks": 90e6}, "counting, map": {"blocks": 90e6},
         "conservative map, map": {"blocks": 90e6}, "mask": {"blocks": 90e6}, "sweep, map": {"blocks": 40e6},
@@ -261,13 +263,13 @@ def ridges(scene) -> Descriptor:
     return describe(scene, scene.view(size=(64, 64)))
 
 
-def test_it_is_chosen_by_what_its_record_expects(coarse_rays, registered, ridges, scene):
+def test_a_new_algorithm_is_chosen_by_its_error_model(coarse_rays, registered, ridges, scene):
     level = scene.loaded.level
     plan = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
     assert plan.algorithm[SUN]["relief"] == "coarse_rays" and plan.predicted is not None and plan.predicted.ms == pytest.approx(1.0)
     assert plan.predicted.wrong_cast == pytest.approx(GOOD.floor)
 
-    ten_times = replace(GOOD, floor=10.0 * GOOD.floor)  # as wrong an error model as that is believed, and it is not taken
+    ten_times = replace(GOOD, floor=10.0 * GOOD.floor)  # the planner trusts this wrong error model, and rejects it
     registered(replace(ALGORITHM, accuracy=Accuracy(constants={"coarse_rays": ten_times})))
     other = predicted_plan(ridges, level, {"max_error": 0.02}, device(**RATES))
     assert other.algorithm[SUN]["relief"] == "sweep"
@@ -277,8 +279,8 @@ def test_it_is_chosen_by_what_its_record_expects(coarse_rays, registered, ridges
     )
 
 
-def test_a_probe_catches_an_error_model_that_is_wrong_by_a_factor_of_ten(gl, coarse_rays, registered, scene):
-    """It claims a tenth of what it gets wrong, and is believed until it is drawn once."""
+def test_a_probe_detects_a_wrong_error_model(gl, coarse_rays, registered, scene):
+    """The error model claims a tenth of the real error. The planner trusts it until the probe draws once."""
     view, level = scene.view(size=(64, 64)), scene.loaded.level
     square = {"map_size": 256}  # a ray for each square of 16 pixels
     real = probed_plan(scene, view, overrides={"algorithm": "coarse_rays", **square, "max_error": 0.9}, device=device(**RATES))
@@ -297,7 +299,7 @@ def test_a_probe_catches_an_error_model_that_is_wrong_by_a_factor_of_ten(gl, coa
 
 
 def coarse(request: SettingsRequest) -> ResolvedSettings:
-    """As coarse as the test of a probe has it."""
+    """Return the coarse settings of the probe's test."""
     return CoarseRaysSettings(square_px=16), []
 
 
@@ -308,7 +310,7 @@ def coarse(request: SettingsRequest) -> ResolvedSettings:
         ({}, {}, "this device has no rates for coarse rays: run skugga calibrate again"),
     ],
 )
-def test_what_is_not_measured_yet_is_said_and_something_else_is_taken(
+def test_an_unmeasured_algorithm_is_rejected_with_a_reason(
     coarse_rays, registered, ridges, scene, change, rates, why
 ):  # fmt: skip
     registered(replace(ALGORITHM, **change))
@@ -337,11 +339,11 @@ MAY_NAME = {
     "selector/mixes.py": "algorithms that are tried together",
     "selector/planner/advice_rules.py": "what each rule of advice takes",
 }
-"""Modules besides an algorithm's own that name one, and why."""
+"""Modules outside an algorithm's own package that name one, and the reason."""
 
 
 def named_elsewhere(root: Path) -> dict[str, set[str]]:
-    """Modules outside of an algorithm's own room with its name as a word -> which names."""
+    """Return modules outside an algorithm's own package with its name as a word -> those names."""
     found: dict[str, set[str]] = {}
     for floor in ("terrain", "shadows", "selector", "api"):
         for path in (root / floor).rglob("*.py"):
@@ -352,12 +354,12 @@ def named_elsewhere(root: Path) -> dict[str, set[str]]:
     return found
 
 
-def test_an_algorithm_is_named_by_itself_and_in_three_more_places():
+def test_algorithms_are_named_in_three_other_modules_only():
     assert set(OF_ITS_OWN) | {"none"} == set(ALGORITHMS)
     assert set(named_elsewhere(ROOT)) == set(MAY_NAME)
 
 
-def test_a_chain_over_names_would_be_found(tmp_path):
+def test_a_planted_chain_over_names_is_found(tmp_path):
     (tmp_path / "selector").mkdir()
     (tmp_path / "selector" / "chain.py").write_text(
         'def taps(name):\n    return 3 if name == "shadow_map" else 1\n', encoding="utf-8"
@@ -365,8 +367,8 @@ def test_a_chain_over_names_would_be_found(tmp_path):
     assert named_elsewhere(tmp_path) == {"selector/chain.py": {"shadow_map"}}
 
 
-def test_every_cache_of_a_room_is_kept_by_an_algorithm(gl):
-    """What an algorithm says that it keeps is there, and what the rooms of algorithms keep, one of them says."""
+def test_caches_of_algorithm_packages_are_listed_in_records(gl):
+    """Every cache that a record lists exists, and a record lists every cache of the packages of algorithms."""
     cache_names = {cache.name for cache in caches()}
     kept = {name for each in ALGORITHMS.values() for name in each.keeps}
     assert kept <= cache_names

@@ -1,4 +1,4 @@
-"""A scene that is closed leaves nothing behind in any cache: all of them are filled first, by drawing with everything there is."""
+"""A closed scene leaves no entry in any cache. The test first fills all caches by drawing with every feature."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ X, Y = 500_000.0, 5_300_480.0
 
 
 def place(east_m: float, south_m: float) -> list[float]:
-    """Degrees of a place so far from the corner."""
+    """Return longitude and latitude of a place at some distance from the corner."""
     return list(transformer(CRS.from_epsg(32633), LONGITUDE_LATITUDE).transform(X + east_m, Y - south_m))
 
 
@@ -55,7 +55,7 @@ def scene(scene_of_its_own) -> Scene:
 
 @pytest.fixture
 def scene_of_its_own(tmp_path) -> Callable[[], Scene]:
-    """Hills with a pond, a wood, a house, a lamp, clouds, haze and imagery."""
+    """Return a function that builds hills with a pond, a wood, a house, a lamp, clouds, haze and imagery."""
     rows, cols = np.mgrid[0:48, 0:48]
     heights = (20.0 * np.sin(rows / 6.0) * np.cos(cols / 7.0)).astype(np.float32)
     for name, cells in (("dem", heights), ("ortho", np.full((3, 48, 48), 90, np.uint8))):
@@ -93,7 +93,7 @@ EVERYTHING = [
 
 
 def draw_with_everything(scene: Scene) -> list[object]:
-    """Fill all caches; what some of them go by is handed back, for they end with it."""
+    """Fill all caches. Return the objects that are keys of some caches, since entries end with them."""
     for view in (scene.view(size=(64, 64)), scene.view("eye")):
         descriptor = describe(scene, view)
         for asked in EVERYTHING:
@@ -107,7 +107,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     attached(block, scene)
     assert isinstance(view, PerspectiveView)
     ground_mesh(scene, view, 100)  # decimated
-    ground_detail._detail(buffer, scene, view)  # which a level with imagery leaves out
+    ground_detail._detail(buffer, scene, view)  # a level with imagery leaves it out
     texel_footprint_px(scene, plan.steps_under("sun")[0], buffer, 1.0)
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)
@@ -122,7 +122,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     return [probes, buffer, real, block, point]
 
 
-def test_nothing_is_left_of_a_scene_that_is_closed(gl, scene):
+def test_a_closed_scene_leaves_no_cache_entry(gl, scene):
     clear_caches("light", "scene")
     alive = draw_with_everything(scene)
     assert [cache.name for cache in caches("light", "scene") if not len(cache)] == [], "not filled, so not tested"
@@ -133,7 +133,7 @@ def test_nothing_is_left_of_a_scene_that_is_closed(gl, scene):
     assert sum(cache.nbytes for cache in caches("light", "scene") if cache.name != "skugga.terrain.gl.depth_targets") == 0
 
 
-def test_a_scene_that_nobody_holds_any_more_leaves_nothing_either(gl, scene_of_its_own):
+def test_an_unreferenced_scene_leaves_no_cache_entry(gl, scene_of_its_own):
     clear_caches("light", "scene")
     scene = scene_of_its_own()
     for view in (scene.view(size=(64, 64)), scene.view("eye")):

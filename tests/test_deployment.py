@@ -1,4 +1,4 @@
-"""Files of ``examples/deployment``: what they name is there. nginx runs its own in ``tests/clients``."""
+"""Files of ``examples/deployment``: everything that they name exists. ``tests/clients`` runs nginx with its configuration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FILES = sorted(path for path in DEPLOYMENT.iterdir() if path.is_file())
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_its_settings_are_settings(path: Path):
+def test_deployment_files_use_existing_settings(path: Path):
     names = {f"SKUGGA_{name.upper()}" for name in Settings.model_fields}
     assert set(re.findall(r"SKUGGA_[A-Z_]*[A-Z]", path.read_text(encoding="utf-8"))) <= names
 
@@ -26,7 +26,7 @@ def test_all_files_are_listed():
     assert sorted(listed) == [path.name for path in FILES if path.name != "README.md"]
 
 
-def test_what_the_images_are_made_of_is_there_and_sent_to_the_builder():
+def test_sources_of_images_exist_and_are_in_the_build_context():
     sent = {line[1:] for line in (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines() if line.startswith("!")}
     copied = set()
     for line in (DEPLOYMENT / "Dockerfile").read_text(encoding="utf-8").splitlines():
@@ -37,7 +37,7 @@ def test_what_the_images_are_made_of_is_there_and_sent_to_the_builder():
     assert packages <= copied, "a package more is part of the image, too"
 
 
-def test_containers_may_do_no_more_than_they_need():
+def test_containers_have_restricted_privileges():
     services = YAML(typ="safe").load((DEPLOYMENT / "compose.yaml").read_text(encoding="utf-8"))["services"]
     for name, service in services.items():
         assert service["read_only"] and service["cap_drop"] == ["ALL"] and "no-new-privileges:true" in service["security_opt"], name
@@ -50,7 +50,7 @@ def test_containers_may_do_no_more_than_they_need():
 
 
 def test_nginx_waits_longer_than_a_picture_may_take():
-    """For its level, for its turn, and twice to be drawn."""
+    """A picture may wait for its level and for its turn, and may be drawn twice."""
     settings = Settings.model_construct()
     longest_s = settings.level_timeout_s + settings.queue_timeout_s + 2 * settings.render_timeout_s
     text = (DEPLOYMENT / "nginx.conf").read_text(encoding="utf-8")

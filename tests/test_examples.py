@@ -1,4 +1,4 @@
-"""Examples: each runs by itself and says what it should; the notebook is the run of its script."""
+"""Examples: each runs by itself and prints correct figures; the notebook is the run of its script."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SCRIPT = HERE / "examples" / "a_winters_day.py"
 
 
 def run(example: Path, folder: Path) -> str:
-    """What an example prints, run in a folder as a user does."""
+    """Run an example in a folder as a user does, and return its output."""
     variables = {**os.environ, "MPLBACKEND": "agg", "PYTHONPATH": str(HERE)}
     ran = subprocess.run([sys.executable, example], cwd=folder, env=variables, capture_output=True, text=True, timeout=600)
     assert ran.returncode == 0, ran.stderr
@@ -34,7 +34,7 @@ def number(pattern: str, said: str) -> float:
 
 def a_garden(said: str) -> None:
     assert number(r"before +mean +([\d.]+) h", said) == pytest.approx(day_length_h("2024-03-21", 59.3), abs=0.02)
-    # At noon the sun is 31 degrees high, and a wall of 7 m throws 11.7 m of shadow: over all rows of the garden, 5 to 15 m away.
+    # At noon the sun is 31 degrees high, and a wall of 7 m casts 11.7 m of shadow: over all rows of the garden, 5 to 15 m away.
     assert number(r"after +mean +([\d.]+) h", said) < 10.0 and number(r"after.*least +([\d.]+) h", said) < 6.0
 
 
@@ -68,8 +68,10 @@ SAYS = {
 
 
 def day_length_h(date: str, lat_deg: float) -> float:
-    """Hours for which the middle of the sun's disc, refracted by 34 minutes of arc, is up: the sunrise equation, with the sun's
-    declination at noon by the Astronomical Almanac's low-precision formula (0.01 degrees).
+    """Return the hours for which the centre of the sun's disc, refracted by 34 minutes of arc, is up.
+
+    This is the sunrise equation, with the sun's declination at noon by the Astronomical Almanac's low-precision formula
+    (0.01 degrees).
     """
     days = (np.datetime64(f"{date}T12:00") - np.datetime64("2000-01-01T12:00")) / np.timedelta64(1, "D")
     anomaly = np.radians(357.528 + 0.9856003 * days)
@@ -81,7 +83,7 @@ def day_length_h(date: str, lat_deg: float) -> float:
 
 @pytest.mark.long
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_runs_and_says_what_is_so(example: Path, tmp_path: Path) -> None:
+def test_an_example_runs_and_prints_correct_figures(example: Path, tmp_path: Path) -> None:
     SAYS[example.stem](run(example, tmp_path))
 
 

@@ -1,7 +1,8 @@
-"""What every entry point may import of the libraries that take long: help and completion none, a command what it works with.
+"""Slow libraries that each entry point may import: none for help and completion, only the needed ones for a command.
 
-A command that is answered at once imports nothing that computes. ``MAY_IMPORT`` has a line for each entry point; where one fails,
-``python -X importtime`` shows who imports what it lists, and an import in the function that needs it mends it.
+A command that answers at once imports nothing that computes. ``LIGHT``, ``HELP``, ``SHOWN`` and ``WORK`` have a line for
+each entry point. If one fails, ``python -X importtime`` shows the importing module; move the import into the function that
+needs it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ HEAVY = frozenset(
     "pydantic pyogrio pyproj rasterio rich scipy.interpolate scipy.ndimage scipy.optimize scipy.sparse scipy.spatial shapely "
     "starlette trimesh uvicorn xarray".split()
 )
-"""Modules that take from a hundredth of a second (moderngl) to almost a whole one (pvlib) to import. Of SciPy its parts: the
+"""Modules that take from a hundredth of a second (moderngl) to almost a second (pvlib) to import. SciPy counts by its parts: the
 package alone is light, and numba imports it.
 """
 
@@ -33,19 +34,19 @@ TYPER = frozenset(["pydantic"])
 """Typer reads the values of options with it, where it is installed."""
 
 RASTERS = frozenset(["boto3", "numpy", "pydantic", "pyproj", "rasterio"])
-"""What a raster is opened with; rasterio imports boto3 where that is installed."""
+"""Modules that open a raster. rasterio imports boto3 where that is installed."""
 
 LOOPS = frozenset(["llvmlite", "numba"])
-"""The decorator of compiled loops imports them, so all that names a loop does."""
+"""The decorator of compiled loops imports these, so every module with a loop does."""
 
 SPLINES = frozenset(["scipy.interpolate", "scipy.optimize", "scipy.sparse", "scipy.spatial"])
-"""SciPy's splines and what they import: the line sweep fits them to how the ground lies in a map."""
+"""SciPy's splines and their imports: the line sweep fits them to the position of the ground in a map."""
 
 SUN = SPLINES | {"pandas", "pvlib"}
-"""Where the sun is at a time; pvlib imports splines, too."""
+"""Position of the sun at a time. pvlib imports splines, too."""
 
 PLAN = frozenset(["moderngl", "scipy.ndimage"])
-"""A choice of algorithms: it knows all of them, and filters heights."""
+"""Selection of algorithms: it imports all of them, and filters heights."""
 
 DRAWING = PLAN | SPLINES
 TABLES = frozenset(["rich"])
@@ -62,13 +63,13 @@ LIGHT: dict[str, tuple[list[str], int, frozenset[str]]] = {
     "value that is no number": (["overviews", "x.tif", "--nodata", "none"], 2, TYPER),
     "script of completion": (["--show-completion", "bash"], 0, TYPER),
 }
-"""Entry point -> arguments of ``skugga``, exit status, and what it may import."""
+"""Entry point -> arguments of ``skugga``, exit status, and allowed imports."""
 
 HELP: dict[str, frozenset[str]] = {
     **dict.fromkeys(COMMANDS, TYPER),
     **dict.fromkeys(["compute", "point", "render", "seed", "shade", "sunhours"], TYPER | {"numpy"}),
 }
-"""Command -> what its help may import: what formats and products there are is said beside their arrays."""
+"""Command -> allowed imports of its help. The lists of formats and products are in modules that use arrays."""
 
 SHOWN: dict[str, tuple[str, str, frozenset[str]]] = {
     "commands": ("skugga se", "select", TYPER),
@@ -77,7 +78,7 @@ SHOWN: dict[str, tuple[str, str, frozenset[str]]] = {
     "styles": ("skugga render x.tif --style n", "natural", TYPER | {"numpy"}),
     "policies": ("skugga select x.tif --policy p", "probe", TYPER),
 }
-"""What is completed -> a line, a word that is shown, and what it may import."""
+"""Completed item -> a line, a word that is shown, and allowed imports."""
 
 SWEEP = ["--azimuth", "250", "--altitude", "20"]
 NOON = ["--time", "2024-03-21T12:00:00+01:00"]
@@ -107,10 +108,10 @@ WORK: dict[str, tuple[list[str], frozenset[str]]] = {
     ),
     "doctor": (["doctor"], RASTERS | LOOPS | DRAWING | SUN),
 }
-"""Command, and on what -> its arguments, and what it may import."""
+"""Command and its input -> its arguments, and allowed imports."""
 
 ELSEWHERE = {"calibrate": "takes a minute", "compile": "has its own tests", "serve": "is below"}
-"""Commands that are not run here, and why."""
+"""Commands that are not run here, and the reason."""
 
 PROGRAM = "import sys; sys.argv[:] = {argv!r}\nfrom skugga.api.cli.main import main; main()"
 
@@ -128,7 +129,7 @@ with open({report!r}, "w") as file:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with a small raster of hills."""
+    """Return a folder with a small raster of hills."""
     row, col = np.mgrid[:48, :48].astype(np.float32)
     heights = 500 + 200 * np.sin(col / 5 + 1) * np.cos(row / 7 + 1)
     write_geotiff(tmp_path / "hills.tif", heights, "EPSG:32633", 500e3, 5200e3, 30.0)
@@ -136,7 +137,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def imported(code: str, folder: Path, **environment: str) -> tuple[int, set[str], str]:
-    """Exit status of code in a Python of its own, what it has imported of ``HEAVY``, and what it printed."""
+    """Run code in a new Python process. Return its exit status, the imported modules of ``HEAVY``, and its output."""
     report = folder / "report"
     script = REPORT.format(code=code, report=str(report))
     env = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
@@ -152,7 +153,7 @@ def run(arguments: list[str], folder: Path) -> tuple[int, set[str], str]:
 
 @pytest.mark.parametrize("name", LIGHT)
 def test_answers_without_work_import_nothing_heavy(name, tmp_path, monkeypatch):
-    # A build server's shell is sh, which has no completion: the one that is named counts.
+    # A build server's shell is sh, which has no completion. This makes the named shell count.
     monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
     arguments, status, allowed = LIGHT[name]
     (tmp_path / "x.tif").touch()
@@ -179,11 +180,11 @@ def test_completion_imports_nothing_heavy(shell, name, tmp_path):
     code = PROGRAM.format(argv=["skugga"])
     status, found, said = imported(code, tmp_path, _SKUGGA_COMPLETE=f"complete_{shell}", **asked)
     assert status == 0 and word in said
-    assert found <= allowed | (TABLES if shell == "zsh" else frozenset())  # Rich takes markup out of the help that zsh shows
+    assert found <= allowed | (TABLES if shell == "zsh" else frozenset())  # Rich removes markup from the help that zsh shows
 
 
 @pytest.mark.parametrize("name", WORK)
-def test_commands_import_what_they_work_with(name, folder):
+def test_commands_import_only_the_libraries_they_need(name, folder):
     arguments, allowed = WORK[name]
     status, found, said = run(arguments, folder)
     assert status == 0 or name == "doctor", said
@@ -203,7 +204,7 @@ def test_every_command_has_a_line():
         ("import skugga; skugga.open_level('hills.tif').close()", RASTERS | LOOPS | {"moderngl"}),
     ],
 )
-def test_the_library_imports_what_is_used(code, allowed, folder):
+def test_the_library_imports_only_what_is_used(code, allowed, folder):
     status, found, said = imported(code, folder)
     assert status == 0, said
     assert found <= allowed
@@ -236,8 +237,8 @@ if __name__ == "__main__":
 FRONT = RASTERS | {"PIL", "fastapi", "morecantile", "pmtiles", "starlette", "uvicorn"}
 
 
-def test_the_front_process_of_a_service_imports_nothing_that_draws(folder):
-    """Up to its first answers; what draws is for its render processes."""
+def test_the_http_process_of_a_service_imports_no_renderer(folder):
+    """This holds up to its first responses. Drawing is for its render processes."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     status, found, said = imported(SERVICE.replace("{port}", str(port)), folder)

@@ -1,4 +1,4 @@
-"""The lock file holds versions of all that ``pyproject.toml`` names, and nothing of the machine that it was made on."""
+"""The lock file holds versions of all packages in ``pyproject.toml``, and no information about the machine that made it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def named() -> list[Requirement]:
     return [asked for part in parts for asked in map(Requirement, part) if asked.name != project["name"]]
 
 
-def test_every_package_that_is_named_is_locked_within_its_bounds():
+def test_every_dependency_is_locked_within_its_bounds():
     versions: dict[str, list[str]] = {}
     for lock in locked():
         (bound,) = lock.specifier
@@ -35,6 +35,6 @@ def test_every_package_that_is_named_is_locked_within_its_bounds():
         assert all(version in asked.specifier for version in found), f"{asked} is locked at {found}: make lock"
 
 
-def test_it_names_no_address_and_no_path():
+def test_the_lock_file_has_no_urls_or_paths():
     text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
     assert not re.search(r"://|(^|\s)(/|\.\.?/)|--", text)

@@ -1,4 +1,6 @@
-"""One import name, ``skugga``, beside whatever else is called ``api`` or ``terrain``; and which part may import which."""
+"""One import name, ``skugga``, beside other packages called ``api`` or ``terrain``; and the rules of imports between
+packages.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ SCRIPTS = Path(sys.executable).parent
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A folder of a user's own, whose packages have the names of our folders and cannot be imported."""
+    """Return a user's folder whose packages have the names of the repository's folders and raise an error on import."""
     for name in PARTS:
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(f"raise RuntimeError('{name} of the user was imported')\n", encoding="utf-8")
@@ -38,7 +40,7 @@ def run_in(project: Path, *command: str | Path) -> subprocess.CompletedProcess[s
     return subprocess.run(list(map(str, command)), cwd=project, env=environment, capture_output=True, text=True, timeout=600)
 
 
-def test_skugga_is_imported_beside_packages_of_the_same_names(project: Path):
+def test_skugga_imports_beside_packages_of_the_same_names(project: Path):
     code = (
         "import skugga, numpy, sys\n"
         "heights = numpy.zeros((9, 9), numpy.float32); heights[4, 4] = 10.0\n"
@@ -72,7 +74,7 @@ BARE = [*(f"import {name}" for name in sorted(PARTS)), "from terrain.geo import 
 
 
 @pytest.mark.parametrize("line", BARE)
-def test_a_bare_import_is_told_by_the_linter(line: str):
+def test_the_linter_reports_a_bare_import(line: str):
     ruff = [SCRIPTS / "ruff", "check", "--stdin-filename", "planted.py", "-"]
     done = subprocess.run(ruff, input=line + "\n", capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 1 and "TID251" in done.stdout, done.stdout + done.stderr
@@ -99,7 +101,7 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("kind", PLANTED)
-def test_an_import_against_the_rules_is_told(tmp_path: Path, kind: str):
+def test_import_linter_reports_a_forbidden_import(tmp_path: Path, kind: str):
     name, line, said = PLANTED[kind]
     house = copy_with(tmp_path, {})
     path = house / name

@@ -1,4 +1,4 @@
-"""Pages: every number that a script wrote is the script's, and examples import what is there."""
+"""Pages of the documentation: numbers equal their scripts' output, and examples import existing names."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ def kept(name: str) -> dict:
     return json.loads((BENCHMARKS / name).read_text(encoding="utf-8"))
 
 
-def test_the_page_of_the_seeds_is_what_its_script_writes_of_its_figures():
+def test_the_page_of_seeds_is_up_to_date():
     figures = kept("seeds/seeds.json")
     assert list(next(iter(figures.values()))["experiments"]) == list(seeds.EXPERIMENTS), "every experiment was made"
     assert (DOCS / "seeds.md").read_text(encoding="utf-8") == seeds.page(figures)
 
 
-def test_the_page_of_the_peers_is_what_its_script_writes_of_its_figures():
+def test_the_page_of_peers_is_up_to_date():
     figures = peer_figures.PeerComparison.read(kept("peers/peers.json"))
     assert (DOCS / "peers.md").read_text(encoding="utf-8") == page(figures, "images/peers.webp")
     table = "\n".join(short_table(figures))
     assert table in (HERE / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_page_of_questions_of_sun_is_what_its_script_writes_of_its_figures():
+def test_the_page_of_sun_questions_is_up_to_date():
     figures = SunComparison.read(kept("sun_questions/sun_questions.json"))
     assert (DOCS / "sun-questions.md").read_text(encoding="utf-8") == sun_page(figures)
 
 
 def test_no_peer_is_both_faster_and_more_accurate():
-    """By either clock, in every raster under every sun and in the means off the axes."""
+    """This holds by either clock, in every raster under every sun and in the means off the axes."""
     figures = peer_figures.PeerComparison.read(kept("peers/peers.json"))
     assert len(figures.tools) - sum(tool.ours for tool in figures.tools) >= 5
     for clock in peer_figures.CLOCKS:
@@ -55,7 +55,7 @@ def test_no_peer_is_both_faster_and_more_accurate():
 
 
 @pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), HERE / "README.md"]), ids=lambda path: path.name)
-def test_what_pages_point_to_is_there(page):
+def test_links_of_pages_exist(page):
     text = page.read_text(encoding="utf-8")
     for link in re.findall(r"\]\(([^)\s]+)\)", text):
         target, _, anchor = link.partition("#")
@@ -64,15 +64,15 @@ def test_what_pages_point_to_is_there(page):
 
 
 def commands_of(page: str) -> list[list[str]]:
-    """The words of each ``skugga`` command in the shell examples of a page."""
+    """Return the words of each ``skugga`` command in the shell examples of a page."""
     examples = "\n".join(re.findall(r"```sh\n(.*?)```", page, re.DOTALL)).replace("\\\n", " ")
     lines = [shlex.split(line, comments=True) for line in examples.splitlines()]
     return [words[1:] for words in lines if words[:1] == ["skugga"]]
 
 
 @pytest.mark.parametrize("path", [HERE / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda path: path.name)
-def test_commands_have_the_options_that_examples_give_them(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only read, not run: a command or an option that is not there is an error of usage."""
+def test_commands_in_examples_use_existing_options(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands are parsed, not run. An unknown command or option is a usage error."""
     group: Any = typer.main.get_command(app)
     monkeypatch.chdir(tmp_path)
     for name, *words in commands_of(path.read_text("utf-8")):
@@ -86,14 +86,14 @@ def test_the_first_page_shows_commands() -> None:
 
 
 def names_imported(page: str) -> list[tuple[str, str]]:
-    """Module and name of everything that the Python examples of a page import from a module."""
+    """Return module and name of everything that the Python examples of a page import from a module."""
     examples = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     nodes = [node for example in examples for node in ast.walk(ast.parse(example)) if isinstance(node, ast.ImportFrom)]
     return [(node.module or "", alias.name) for node in nodes for alias in node.names]
 
 
 @pytest.mark.parametrize("path", [HERE / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda path: path.name)
-def test_examples_import_what_is_there(path: Path) -> None:
+def test_examples_import_existing_names(path: Path) -> None:
     gone = [f"{m}.{name}" for m, name in names_imported(path.read_text("utf-8")) if not hasattr(importlib.import_module(m), name)]
     assert not gone
 

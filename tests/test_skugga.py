@@ -1,4 +1,4 @@
-"""``import skugga``: names that are imported when they are used are there all the same, and so is xarray's accessor."""
+"""``import skugga``: lazily imported names are available, and so is xarray's accessor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ ROOT = Path(__file__).parents[1]
 
 
 def run(code: str) -> str:
-    """What a fresh Python prints; warnings are errors there, but for those of affine, which rioxarray brings about."""
+    """Return the output of a new Python process.
+
+    Warnings are errors there, except for those of affine, which rioxarray causes.
+    """
     done = subprocess.run(
         [sys.executable, "-W", "error", "-W", "ignore::PendingDeprecationWarning", "-c", code],
         capture_output=True,
@@ -32,13 +35,13 @@ def run(code: str) -> str:
 
 
 def typed_names() -> dict[str, tuple[str, str]]:
-    """The names of ``skugga`` as type checkers see them: module and name there."""
+    """Return the names of ``skugga`` as type checkers see them: module and name there."""
     (block,) = (node for node in ast.parse((ROOT / "skugga" / "__init__.py").read_text("utf-8")).body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
     return {alias.asname or alias.name: (str(node.module), alias.name) for node in imports for alias in node.names}
 
 
-def test_every_name_is_what_type_checkers_take_it_for():
+def test_every_name_is_the_one_that_type_checkers_see():
     typed = typed_names()
     assert sorted(typed) == sorted(skugga.__all__)
     for name, (module, attribute) in typed.items():
@@ -46,7 +49,7 @@ def test_every_name_is_what_type_checkers_take_it_for():
 
 
 def test_names_are_listed_before_they_are_used():
-    """By ``dir``, and so by completion in a shell."""
+    """``dir`` lists them, and so does completion in a shell."""
     assert run("import skugga; print(set(skugga.__all__) <= set(dir(skugga)), 'shadow' in vars(skugga))") == "True False"
 
 
@@ -65,13 +68,13 @@ def test_names_are_imported_by_star():
     assert run("from skugga import *; print(shadow.__name__, OpenLevel.__name__)") == "shadow OpenLevel"
 
 
-def test_help_tells_of_every_name():
+def test_help_shows_every_name():
     text = pydoc.plain(pydoc.render_doc(skugga))
     for name in ("class OpenLevel", "open_level(", "shadow(", "sunlit("):
         assert name in text, name
 
 
-def test_names_are_pickled_as_before():
+def test_names_survive_pickling():
     for name in skugga.__all__:
         value = getattr(skugga, name)
         assert pickle.loads(pickle.dumps(value)) is value
@@ -87,7 +90,7 @@ print(int(array.rio.write_crs("EPSG:32633").skugga.shadow(azimuth=180, altitude=
 
 @pytest.mark.parametrize("imports", ["import skugga, xarray", "import xarray, skugga", "import skugga, rioxarray, xarray"])
 def test_arrays_of_xarray_have_the_accessor(imports):
-    """Whoever is imported first; warnings are errors there."""
+    """This holds for each order of imports. Warnings are errors there."""
     pytest.importorskip("rioxarray")
     assert run(f"{imports}\n{SHADE}") == "True"
 
@@ -105,7 +108,7 @@ def test_accessor_is_imported_when_it_is_used():
     assert run(code) == "True False SkuggaAccessor"
 
 
-def test_accessor_is_registered_once_though_skugga_is_imported_anew():
+def test_accessor_is_registered_once_after_a_reload():
     pytest.importorskip("rioxarray")
     assert run("import skugga, xarray, importlib; importlib.reload(skugga); print(xarray.DataArray.skugga.__name__)") == "_accessor"
 

@@ -1,5 +1,6 @@
-"""Annotations: for the sake of compiled loops mypy asks for none of a function that has none at all (``tool.mypy`` in
-``pyproject.toml``). So every function without any must be one.
+"""Annotations: a function without any must be a compiled loop.
+
+For the sake of compiled loops mypy accepts functions without any annotation (``tool.mypy`` in ``pyproject.toml``).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def _is_bare(function: Function) -> bool:
 
 
 def bare(node: ast.AST) -> Iterator[str]:
-    """The functions without annotations that are no compiled loops, nor helpers inside of one."""
+    """Yield the functions without annotations that are neither compiled loops nor helpers inside one."""
     for each in ast.iter_child_nodes(node):
         if isinstance(each, Function):
             if _is_compiled(each):
@@ -39,14 +40,14 @@ def bare(node: ast.AST) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("floor", FLOORS)
-def test_what_has_no_annotations_is_compiled(floor: str) -> None:
+def test_functions_without_annotations_are_compiled(floor: str) -> None:
     paths = sorted((ROOT / floor).rglob("*.py"))
     assert paths
     found = {str(path.relative_to(ROOT)): [*bare(ast.parse(path.read_text(encoding="utf-8")))] for path in paths}
     assert {path: names for path, names in found.items() if names} == {}
 
 
-def test_mypy_checks_every_floor() -> None:
+def test_mypy_checks_every_package() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
     assert settings["strict"] and "skugga" in settings["files"]
     assert all((ROOT / "skugga" / floor).is_dir() for floor in FLOORS)
@@ -66,7 +67,7 @@ def test_mypy_checks_every_floor() -> None:
         "if True:\n    def planted(a):\n        return a\n",
     ],
 )
-def test_a_planted_function_is_noticed(source: str) -> None:
+def test_a_planted_function_is_found(source: str) -> None:
     assert [name.split()[0] for name in bare(ast.parse(source))] == ["planted"]
 
 
@@ -81,5 +82,5 @@ def test_a_planted_function_is_noticed(source: str) -> None:
         "each = lambda a: a\n",
     ],
 )
-def test_a_loop_and_what_is_annotated_pass(source: str) -> None:
+def test_loops_and_annotated_functions_pass(source: str) -> None:
     assert [*bare(ast.parse(source))] == []

@@ -1,4 +1,4 @@
-"""A wheel with compiled loops: installed into an empty environment, with an empty home, where site-packages cannot be written."""
+"""A wheel with compiled loops, installed into an empty environment with an empty home and a read-only site-packages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.long
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The interpreter of an environment that has the wheel, and what it depends on from this one; none of it can be written."""
+    """Return the interpreter of a read-only environment with the wheel. Its dependencies come from this environment."""
     folder = tmp_path_factory.mktemp("wheel")
     subprocess.run(
         [sys.executable, "scripts/make_wheel.py", folder], cwd=ROOT, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
@@ -37,7 +37,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     venv.create(folder / "env")
     python = folder / "env" / "bin" / "python"
     site = next((folder / "env" / "lib").glob("python*/site-packages"))
-    # Packages by a path: an editable installation of Skugga there is not followed.
+    # A path entry for packages: Python does not follow an editable installation of Skugga in it.
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
     subprocess.run([sys.executable, "-m", "pip", "--python", python, "install", "-qq", "--no-deps", wheel], check=True)
     for path in [site, *site.rglob("*")]:
@@ -54,7 +54,7 @@ def dem(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def home(tmp_path: Path) -> dict[str, str]:
-    """The environment of a user whose home is empty."""
+    """Return the environment variables of a user with an empty home."""
     (tmp_path / "home").mkdir()
     kept = {name: value for name, value in os.environ.items() if name in ("PATH", "LANG", "SKUGGA_EXPECT_RENDERER")}
     return {**kept, "HOME": str(tmp_path / "home"), "SKUGGA_CALIBRATE_WHEN_IDLE": "false", "PYTHONDONTWRITEBYTECODE": "1"}
@@ -91,13 +91,13 @@ def test_a_wheel_renders(installed: Path, dem: Path, home: dict[str, str]) -> No
 
 def test_a_wheel_of_another_version_compiles(installed: Path, dem: Path, home: dict[str, str]) -> None:
     command = ["shade", dem, "--azimuth", "237", "--altitude", "12", "-o", dem.with_name("mask.tif")]
-    other = {**home, "NUMBA_OPT": "1"}  # what changes the key of every loop
+    other = {**home, "NUMBA_OPT": "1"}  # changes the key of every loop
     done = subprocess.run([installed.with_name("skugga"), *command], env=other, cwd=dem.parent, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert dem.with_name("mask.tif").is_file() and list((Path(home["HOME"]) / ".cache" / "skugga" / "loops").glob("*.loop"))
 
 
-def test_a_library_user_keeps_his_processor(installed: Path, home: dict[str, str]) -> None:
+def test_the_library_does_not_set_the_processor_for_numba(installed: Path, home: dict[str, str]) -> None:
     code = "import os, skugga; skugga.shadow; print(sorted(set(os.environ) & {'NUMBA_CPU_NAME', 'NUMBA_CPU_FEATURES'}))"
     done = subprocess.run([installed, "-c", code], env=home, capture_output=True, text=True, check=True, cwd=home["HOME"])
     assert done.stdout.strip() == "[]"

@@ -1,4 +1,4 @@
-"""Names that must not come back, and the subjects of commits."""
+"""Forbidden names, and the form of commit subjects."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_planted_name_is_found(tmp_path, source, name, term):
     assert status == 1 and f"'{name}'" in said and term in said and "planted.py:" in said
 
 
-def test_words_of_comments_texts_and_longer_names_are_not_names(tmp_path):
+def test_comments_texts_and_longer_names_are_allowed(tmp_path):
     (tmp_path / "plain.py").write_text('# there\nx = "there"\nis_there_yet = 1\nALMOST_DONE = 2\n')
     assert check(str(tmp_path / "plain.py")) == (0, "")
 
@@ -53,7 +53,7 @@ def test_no_file_has_a_forbidden_name():
         ("Two lines\nof subject\n", "empty line"),
     ],
 )
-def test_commit_subjects_are_short_and_apart(tmp_path, message, fault):
+def test_commit_subjects_are_short_and_separated(tmp_path, message, fault):
     (tmp_path / "message").write_text(message)
     status, said = check("--commit-message", str(tmp_path / "message"))
     assert (status == 0) == (fault is None) and (fault or "") in said

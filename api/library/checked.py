@@ -183,7 +183,7 @@ def _sides(value: Any) -> tuple[float, float]:
         sides = np.empty(0)
     if sides.shape not in ((), (2,)) or not ((sides >= MIN_CELL_M) & (sides <= MAX_CELL_M)).all():
         raise PydanticCustomError(
-            "cell", "metres, more than 0: the side of a cell, or (down, right); of a geotransform abs(transform.e) and transform.a"
+            "cell", "metres, more than 0: the side of a cell, or (row side, column side), such as (abs(transform.e), transform.a)"
         )
     down, right = np.broadcast_to(sides, (2,))
     return float(down), float(right)

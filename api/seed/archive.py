@@ -180,7 +180,7 @@ def _layout(indexes: Sequence[ShardIndex], facts: ArchiveFacts) -> _Layout:
     lengths = np.concatenate([np.empty(0, np.uint32), *(index.lengths for index in indexes)])
     digests = np.concatenate([np.empty((0, DIGEST_BYTES), np.uint8), *(index.digests for index in indexes)])
     if not len(ids):
-        raise InputError("tiles", Problem("none shows data"), "Choose zooms at which the level has data")
+        raise InputError("tiles", Problem("no tile shows data"), "Choose zooms at which the level has data")
     if not (ids[1:] > ids[:-1]).all():
         raise ValueError("tile ids of shards do not ascend")
     if not (first_tile_id(facts.first_zoom) <= ids[0] and ids[-1] < first_tile_id(facts.last_zoom + 1)):

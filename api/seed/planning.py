@@ -33,7 +33,7 @@ from skugga.api.workers.block_views import block_of_grid
 from skugga.api.workers.jobs import LevelKey, Tiles
 from skugga.api.workers.map_plans import plan_in_service
 from skugga.api.workers.plan_basis import PlanBasis
-from skugga.api.workers.worker_state import tiles_view
+from skugga.api.workers.worker_state import representative_block
 from skugga.selector.probe_store import load_probes, probes_folder
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import RENDERER_VERSION
@@ -184,7 +184,7 @@ def _make_spec(
             grid, blocks = tile_grid(matrix_set_of(MATRIX_SET), zoom), blocks_of_zoom(zoom, bounds)
             digests = ground_under_sun.digests(grid, blocks, plan, product.is_display)
             shares = ground_under_sun.data_shares(grid, blocks)
-            whole_s, planned = _full_task_seconds(plan, zoom, measured), plan_digest(plan)
+            whole_s, planned = _full_task_s(plan, zoom, measured), plan_digest(plan)
             for (x, y), digest, on_data in zip(blocks, digests, shares, strict=True):
                 parts, share = KeyParts(drawn_by, settings, planned, heights, digest.hex()), max(on_data, MIN_TASK_SHARE)
                 tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, share, whole_s * share))
@@ -211,7 +211,7 @@ class _Planner:
             return Plan.model_validate_json(kept)
         if self._basis is None:
             self._basis = _basis(self._level)
-        view = tiles_view(scene, Tiles(matrix_set=MATRIX_SET, zoom=zoom))
+        view = representative_block(scene, Tiles(matrix_set=MATRIX_SET, zoom=zoom))
         plan = plan_in_service(scene, view, "map", self._overrides, self._level, self._basis)
         self._table.put_plan(sun, zoom, self._asked, plan.model_dump_json())
         return plan
@@ -291,7 +291,7 @@ def first_tile_of_block(zoom: int, x: int, y: int) -> int:
     return first + tile_offset // BLOCK_TILES**2 * BLOCK_TILES**2
 
 
-def _full_task_seconds(plan: Plan | None, zoom: int, measured: dict[int, tuple[float, float]]) -> float:
+def _full_task_s(plan: Plan | None, zoom: int, measured: dict[int, tuple[float, float]]) -> float:
     """Return the expected duration of a full task: measured at its zoom, or predicted by the plan."""
     if zoom in measured:
         return measured[zoom][0]

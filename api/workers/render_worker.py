@@ -56,7 +56,7 @@ from skugga.api.workers.point_jobs import point_answer, points_answer
 from skugga.api.workers.preparation import import_pvlib, prepare_level
 from skugga.api.workers.process_life import lower_priority
 from skugga.api.workers.worker_config import WorkerConfig
-from skugga.api.workers.worker_state import MAX_SCENES, WorkerState, block_view, plan_of_tiles, tiles_view
+from skugga.api.workers.worker_state import MAX_SCENES, WorkerState, block_view, plan_of_tiles, representative_block
 from skugga.selector.choices import StandaloneRequest
 from skugga.selector.select import select
 from skugga.shadows.passes import PassRecord
@@ -234,7 +234,7 @@ def _map(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
 
 def _view_with_name(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
     """Return a view, and the name of the view in its plan."""
-    return (tiles_view(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
+    return (representative_block(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
 
 def _facts(headline: str, passes: Sequence[PassRecord], reach: Reach | None, state: WorkerState, level: LevelKey) -> dict[str, Any]:

@@ -130,7 +130,7 @@ def block_view(job: BlockJob) -> MapView:
     return block_of_grid(grid_of_zoom(job.matrix_set, job.zoom), job.block_x, job.block_y)
 
 
-def tiles_view(scene: Scene, tiles: Tiles) -> MapView:
+def representative_block(scene: Scene, tiles: Tiles) -> MapView:
     """Return the view of the block at the level's middle; its plan serves all tiles of the zoom."""
     grid = grid_of_zoom(tiles.matrix_set, tiles.zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
@@ -143,6 +143,6 @@ def plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
 
     def make() -> Plan:
         overrides = job.request.overrides.for_selector()
-        return plan_in_service(scene, tiles_view(scene, tiles), "map", overrides, job.level, state.basis)
+        return plan_in_service(scene, representative_block(scene, tiles), "map", overrides, job.level, state.basis)
 
     return state.plans.get((job.level, state.basis.version_of(job.level), tiles, job.request.picture), make)

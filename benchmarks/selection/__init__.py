@@ -1,1 +1,1 @@
-"""The selector's choices against the best of what was measured: ``python -m benchmarks.selection``, docs/selection.md."""
+"""The selector's choices against the best measured choices: ``python -m benchmarks.selection``, docs/selection.md."""

@@ -1,4 +1,4 @@
-"""How well the selector chooses: every choice of many views measured, and what each policy takes held against the best of them.
+"""Quality of the selector: every choice of many views is measured, and each policy's choices are compared with the best of them.
 
     python -m benchmarks.selection measure DATA [--folder build/selection] [--only NAME ...]   an hour on two cores
     python -m benchmarks.selection probe DATA [--folder build/selection]      what probes see of every choice; half an hour
@@ -9,8 +9,8 @@
     python -m benchmarks.selection judge [--write]                            print the tables of docs/selection.md, or write them,
                                                                               and what accuracy costs into README and docs
 
-Each goes on where it stopped; `time DATA` times all rows anew, `--again` does again what is done. DATA is the folder of sample
-rasters. The device must be calibrated (`skugga calibrate`).
+Each command resumes where it stopped; `time DATA` times all rows again, `--again` repeats finished views. DATA is the folder of
+sample rasters. The device must be calibrated (`skugga calibrate`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from skugga.selector.cost.device_profile import load_profile
 from skugga.terrain.gl.device import device
 
 WORK_STEPS = {"measure": "rows", "time": "anew", "describe": "plan_ms", "probe": "probe"}
-"""What is done view by view, and the key of a record that says that it was."""
+"""Steps that run view by view, and the key of a record that marks them as done."""
 
 PAGE = Path(__file__).parents[2] / "docs" / "selection.md"
 MODEL = Path(__file__).parents[2] / "selector" / "cost" / "error_model.json"
@@ -39,7 +39,7 @@ USUAL_DEVICE = MODEL.with_name("usual_device.json")
 
 
 def _rounded(value: Any) -> Any:
-    """Four digits of every number."""
+    """Round every number to four digits."""
     return {key: _rounded(each) for key, each in value.items()} if isinstance(value, dict) else float(f"{value:.4g}")
 
 
@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def _go_on(what: str, data: Path, folder: Path, only: list[str], again: bool) -> None:
-    """Do a step for all views that it is not done for."""
+    """Run a step for all views where it is not done."""
     folder.mkdir(parents=True, exist_ok=True)
     for instance in instances():
         record = _read(folder, instance)

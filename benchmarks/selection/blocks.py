@@ -1,10 +1,10 @@
-"""Whether what is probed in the middle of a level holds elsewhere: choices drawn in its blocks, held against those in the middle.
+"""Whether probes in the middle of a level apply elsewhere: choices in other blocks of the level against those in the middle.
 
     python -m benchmarks.selection.blocks DATA       minutes on two cores; the device must be calibrated (skugga calibrate)
 
-Prints how far errors and times of the same choice differ between blocks (``skugga.selector.map_probes``), and how often plans of
-other blocks keep to 1 % and 3 % and what they take: by prediction, with a probe of the middle, and with probes as a service makes
-them.
+It prints how far errors and times of the same choice differ between blocks (``skugga.selector.map_probes``). It also prints how
+often plans of other blocks meet 1 % and 3 %, and their cost: by prediction, with a probe of the middle, and with probes as a
+service makes them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ PLACES = ((0.25, 0.3), (0.75, 0.72), (0.45, 0.85))
 SUNS = (SunSpec(azimuth=140.0, altitude=12.0), SunSpec(azimuth=220.0, altitude=40.0))
 TARGETS = (0.01, 0.03)
 MAX_POINTS_S = 2.0
-"""Truth is asked for at more and more points as long as they take less than this."""
+"""Time limit of truth, whose points are refined as long as it is not reached."""
 
 
 def main() -> None:
@@ -111,7 +111,7 @@ def _one(
 
 
 class _Block:
-    """A block of which choices are drawn, each once: its ``options`` under the sun, ``None`` where nothing casts."""
+    """A block whose options under the sun are drawn once each; ``options`` is ``None`` where nothing casts."""
 
     def __init__(self, scene: Scene, view: MapView, profile: DeviceProfile) -> None:
         descriptor = describe(scene, view, "map", "points")
@@ -123,7 +123,9 @@ class _Block:
         self._drawn: dict[int, tuple[float, float, float]] = {}
 
     def shown(self, which: int) -> tuple[float, float, float]:
-        """Error and milliseconds of an option, and the standard deviation of the error's logarithm for want of points."""
+        """Return error and milliseconds of an option, and the standard deviation of the error's logarithm from the sampling
+        of points.
+        """
         if which not in self._drawn:
             ms = self._prover.draw(which)
             while not self._drawn and (self._prover.add_points_s() or np.inf) < MAX_POINTS_S:

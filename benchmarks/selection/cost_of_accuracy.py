@@ -1,7 +1,8 @@
-"""What accuracy costs in time, over all measured views: the sentence of the first page, its table and its figure.
+"""Price of accuracy in time, over all measured views: the sentence of the first page, its table and its figure.
 
-Of each view the cheapest plan that meets a target, by the judge's rule (``benchmarks.selection.judge``), is held against the
-cheapest that meets the loosest one. Views in which nothing meets both say nothing of the price, and are counted apart.
+For each view the price of a target is the time of the cheapest plan that meets it, divided by that of the cheapest plan that meets
+the loosest one. Plans meet a target by the judge's rule (``benchmarks.selection.judge``). Views where no plan meets both targets
+have no price, and are counted apart.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from benchmarks.selection.judge import GOALS, Goal, instances_of
 
 LOOSE, *FINER = [goal for goal in GOALS if goal.within is None]
-"""The goal that prices are multiples of, and those that are priced."""
+"""The reference goal of prices, and the goals that have a price."""
 
 ROOT = Path(__file__).parents[2]
 
@@ -31,18 +32,20 @@ README, PAGE, FIGURE = ROOT / "README.md", ROOT / "docs" / "accuracy.md", ROOT /
 MARK = "cost of accuracy"
 
 INK, GRID, SHADES = "#333333", "#E4E4E4", ("#9CC3E6", "#3D87C4", "#0B3C68")
-"""Of a figure: lighter is looser."""
+"""Colours of the figure: lighter is looser."""
 
 MIN_VIEWS = 2
-"""Of fewer views a median says nothing."""
+"""The least number of views for a median."""
 
 Figures = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Price:
-    """What a goal costs in some views: the cheapest plans' times as multiples of the loosest goal's, of the views in which both can
-    be met; and how many views there are with anything to choose in.
+    """The price of a goal in some views where both goals can be met: times of the cheapest plans as multiples of the loosest
+    goal's.
+
+    It also counts the views with more than one choice.
     """
 
     goal: Goal
@@ -59,8 +62,9 @@ class Price:
 
 
 def cheapest_ms(view: Figures) -> dict[str, float]:
-    """By goal the milliseconds of the cheapest plan that meets it; goals that nothing meets, or of which truth's own noise leaves
-    no telling, are not in it.
+    """Return by goal the milliseconds of the cheapest plan that meets it.
+
+    It omits goals that no plan meets, and those that truth's own noise makes undecidable.
     """
     found = {}
     for one in instances_of([view], [LOOSE, *FINER]):
@@ -71,7 +75,7 @@ def cheapest_ms(view: Figures) -> dict[str, float]:
 
 
 def prices(views: Sequence[Figures]) -> list[Price]:
-    """Of each finer goal, over views."""
+    """Return the prices of each finer goal over views."""
     cheapest = [cheapest_ms(view) for view in views]
     found = []
     for goal in FINER:
@@ -81,7 +85,7 @@ def prices(views: Sequence[Figures]) -> list[Price]:
 
 
 def families(views: Sequence[Figures]) -> dict[str, list[Figures]]:
-    """Views by kind of scene."""
+    """Group views by kind of scene."""
     found: dict[str, list[Figures]] = {}
     for view in views:
         found.setdefault(view["family"], []).append(view)
@@ -89,7 +93,7 @@ def families(views: Sequence[Figures]) -> dict[str, list[Figures]]:
 
 
 def sentence(views: Sequence[Figures]) -> str:
-    """What accuracy costs in time."""
+    """Describe the price of accuracy in time."""
     finest = prices(views)[-1]
     return (
         f"**What accuracy costs:** the fastest shadows of which at most {finest.goal.name} is wrong take {finest.median:.1f} times "
@@ -100,7 +104,7 @@ def sentence(views: Sequence[Figures]) -> str:
 
 
 def table(views: Sequence[Figures]) -> str:
-    """Median and 90th percentile of the prices by kind of scene, as Markdown."""
+    """Return median and 90th percentile of the prices by kind of scene, as Markdown."""
     lines = [
         f"| kind of scene | views | {' | '.join(f'{goal.name}: median, 90th percentile (views)' for goal in FINER)} |",
         "| --- | --- |" + " --- |" * len(FINER),
@@ -112,7 +116,7 @@ def table(views: Sequence[Figures]) -> str:
 
 
 def with_part(text: str, part: str) -> str:
-    """A page with what stands between its marks replaced."""
+    """Replace the text between a page's marks."""
     start, end = f"<!-- {MARK} -->\n", f"<!-- end of {MARK} -->\n"
     if not (start in text and end in text):
         raise ValueError(f"the page has no {start.strip()} and {end.strip()}")
@@ -120,7 +124,7 @@ def with_part(text: str, part: str) -> str:
 
 
 def wrapped(text: str, width: int = 132) -> str:
-    """Lines of a paragraph."""
+    """Wrap a paragraph."""
     lines = [""]
     for word in text.split():
         if lines[-1] and len(lines[-1]) + 1 + len(word) > width:
@@ -130,8 +134,9 @@ def wrapped(text: str, width: int = 132) -> str:
 
 
 def figure_svg(views: Sequence[Figures]) -> str:
-    """The figure: of each kind of scene and goal every view a point, medians as bars; to the right it costs more time.
-    A kind of which nothing can be told is in the table alone.
+    """Return the figure: a point for each kind of scene, goal and view, medians as bars; prices increase to the right.
+
+    Kinds without a price appear only in the table.
     """
     kinds = [(name, its) for name, its in families(views).items() if any(price.ratios.size for price in prices(its))]
     kinds.append(("all", list(views)))
@@ -156,7 +161,7 @@ def write_cost_of_accuracy(views: Sequence[Figures]) -> None:
 
 
 def _strip(axes: Axes, row: int, its: Sequence[Price]) -> None:
-    """The points of a kind of scene, a line for each goal."""
+    """Draw the points of a kind of scene, a line for each goal."""
     for number, (price, colour) in enumerate(zip(its, SHADES, strict=True)):
         y = row + 0.24 * (number - 1)
         axes.plot(price.ratios, np.full(len(price.ratios), y), ".", color=colour, markersize=7, alpha=0.6, markeredgewidth=0)

@@ -1,4 +1,4 @@
-"""The constants of the error model, fitted to measured views."""
+"""Fit the constants of the error model to measured views."""
 
 from __future__ import annotations
 
@@ -49,33 +49,34 @@ EXACT = ("shadow_volume", "hybrid", "sweep", DECIMATED)
 KINDS: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
 
 START = (*(1.0, 4.0, 1.2) * len(KINDS), 1.3, 3e-4, 3e-4)
-"""The part of what differs that counts (most, half, steepness) of each kind of casters; pixels of a perspective map's
-texels at the picture's own size; the floors of both kinds of maps."""
+"""Bounds of: the parameters (maximum, half, steepness) of each kind of casters' response; pixels of a perspective map's
+texels at the picture's own size; the floors of both kinds of maps.
+"""
 
 NARROW = 1e-9
-"""A constant of perspective maps with which they are surely narrower than a uniform one."""
+"""A constant of perspective maps that makes them certainly narrower than a uniform one."""
 
 DRAWN_BACK = 0.1
-"""How strongly constants are drawn back to where they start, in residuals."""
+"""The weight of the prior, which pulls constants to their start, in residuals."""
 
 TOLD = 5e-4
-"""From this share of wrong pixels on it is told how many of them lie inside."""
+"""The least share of wrong pixels for a fit of the interior ones."""
 
 USUAL_TIME_SPREAD = 0.2
-"""That of times, where no calibration is at hand."""
+"""The weight of times where no calibration is available."""
 
 NOTHING_SHARED = SharedVariance(view=0.0, family=0.0)
 APART = SharedErrors(error=NOTHING_SHARED, interior=NOTHING_SHARED, time=NOTHING_SHARED)
 
 MAX_EXPONENT = 700.0
-"""Of the natural exponential function that float64 holds."""
+"""The largest argument of the exponential function in float64."""
 
 LADDER = np.log2(TEXEL_LADDER_PX)
 
 
 @dataclass(frozen=True, eq=False)
 class FitCase:
-    """A measured row: the view it belongs to, the steps it took, and what it got wrong."""
+    """A measured row: its view, its steps, and its errors."""
 
     view: Figures
     descriptor: Descriptor
@@ -102,19 +103,19 @@ class FitCase:
         return expected_errors(self.descriptor, self.light, self.steps, model)
 
     def expected_ms(self, device: DeviceProfile) -> float:
-        """Milliseconds that a device is expected to take."""
+        """Return the milliseconds that a device is expected to take."""
         return sum(
             predicted_ms(device, self.descriptor, self.light, step.kinds, step.algorithm, step.settings) for step in self.steps
         )
 
 
 def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> StandaloneRequest:
-    """Wishes for a descriptor that comes without a level."""
+    """Return the request for a descriptor without a level."""
     return StandaloneRequest(shadows or Shadows(), (SUN, *(lamp.name for lamp in descriptor.lamps)))
 
 
 def cases_of(view: Figures) -> list[FitCase]:
-    """The rows of a view's choices, each once; none where nothing lies in cast shadow, of which the errors would be a share."""
+    """Return the rows of a view's choices, each once; none without cast shadow, since errors are shares of it."""
     if view["error"] == "wrong":
         return []
     descriptor, light = Descriptor.model_validate(view["descriptor"]), view["light"]
@@ -128,15 +129,18 @@ def cases_of(view: Figures) -> list[FitCase]:
 
 
 def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> ErrorModel:
-    """The constants that fit measured rows; those of times, too, with the calibration of the device that measured them. Views
-    whose targets go by coverage are left out.
+    """Return the constants that fit measured rows; with the calibration of the device that measured them, also those of times.
+
+    It omits views whose targets use coverage.
     """
-    cases = [case for case in cases if case.view["error"] != "coverage"]  # that is another figure, and no model's
+    cases = [
+        case for case in cases if case.view["error"] != "coverage"
+    ]  # coverage is another figure, which the model does not predict
     mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + ERROR_OFFSET)
 
     def off(logarithms: np.ndarray) -> np.ndarray:
-        beside = DRAWN_BACK * (logarithms - np.log(START))  # what nothing was measured of stays where it is
+        beside = DRAWN_BACK * (logarithms - np.log(START))  # constants without measurements stay where they are
         return np.concatenate([np.log(terms.expected(np.exp(logarithms)) + ERROR_OFFSET) - measured, beside])
 
     found = least_squares(off, np.log(START), loss="soft_l1", bounds=(np.log(1e-5), np.log(1e3)))
@@ -171,7 +175,7 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Deviations:
-    """By how much rows are off what is expected (n,), and the view and the family of each (numbers)."""
+    """Deviations of rows from their expected values (n,), with the number of the view and the family of each."""
 
     off: np.ndarray
     view: np.ndarray
@@ -194,7 +198,10 @@ class _Deviations:
 
     @property
     def shared(self) -> SharedVariance:
-        """Shares of the variance: mean products of two rows of a view, of other families and of one, each view counting once."""
+        """Return shares of the variance: mean products of two rows of a view, of different families and of the same one.
+
+        Each view has the same weight.
+        """
         variance, other, same = [], [], []
         for number in np.unique(self.view):
             off, family = self.off[self.view == number], self.family[self.view == number]
@@ -209,8 +216,9 @@ class _Deviations:
 
 
 class _Terms:
-    """The sum of ``skugga.selector.cost.error_model``, taken apart once for many constants: a term for each band of each kind of
-    each step.
+    """The sum of ``skugga.selector.cost.error_model``, split into terms for many sets of constants.
+
+    Each step has a term for each band of each kind.
     """
 
     def __init__(self, cases: Sequence[FitCase]) -> None:
@@ -242,7 +250,7 @@ class _Terms:
         differs = first + (second - first) * (ladder_index - low)
         differs = np.where(texel <= TEXEL_LADDER_PX[0], self._differs[:, 0] * texel / TEXEL_LADDER_PX[0], differs)
         most, half, steepness = counts[self._kind].T
-        # A search tries steep curves, whose powers would overflow.
+        # The search tries steep curves, whose powers would overflow.
         powers = np.exp(np.minimum(steepness * np.log(half / np.maximum(texel, 1e-9)), MAX_EXPONENT))
         counted = most / (1.0 + powers)
         total = np.bincount(self._of, self._share * differs * counted, minlength=self._count)
@@ -267,6 +275,6 @@ def _model(x: np.ndarray) -> ErrorModel:
 
 
 def _scale(ratios: Sequence[float]) -> float:
-    """The scale of the logistic distribution of which nine tenths lie within what nine tenths of some ratios' logarithms do."""
+    """Return the scale of the logistic distribution that has the same central interval of nine tenths as the ratios' logarithms."""
     off = float(np.quantile(np.abs(np.log(ratios)), 0.9)) if len(ratios) else 0.0
     return max(off / np.log(19.0), MIN_SPREAD)

@@ -1,12 +1,12 @@
-"""What choices are worth: losses, regret, and how much of the gap between the single best and the virtual best is closed.
+"""Scores of choices: losses, regret, and the closed share of the gap between the single best and the virtual best.
 
-An instance is a view under a light with a target; the loss of a row (one plan, measured) is its milliseconds where it meets the
-target, ten times those of the worst that meets it where it does not, and where none meets it the overshoot. All losses are taken
-as multiples of the virtual best's, so that a view that takes seconds counts no more than one that takes milliseconds. In strict
-scores a miss costs ten times the view's slowest row instead, whatever meets the target (PAR10 with a fixed cutoff).
+An instance is a view under a light with a target. The loss of a row (one plan, measured) is its milliseconds if it meets the
+target, and ten times those of the slowest row that meets it if it does not. If no row meets the target, the loss is the overshoot.
+Losses are multiples of the virtual best's, so that a view that takes seconds has the same weight as one that takes milliseconds. In
+strict scores a miss costs ten times the view's slowest row instead, whatever meets the target (PAR10 with a fixed cutoff).
 
-A target below ``NOISE_FLOORS`` times the error of truth's own sub-samples cannot be told from a somewhat larger one. Such instances
-are a class of their own (``tellable``), which counts neither in what is met nor in regret.
+A target below ``NOISE_FLOORS`` times the error of truth's own sub-samples cannot be distinguished from a somewhat larger one. Such
+instances are a class of their own (``tellable``), which counts neither in met targets nor in regret.
 """
 
 from __future__ import annotations
@@ -20,24 +20,25 @@ import numpy as np
 from skugga.shadows.truth.metrics import MAX_INTERIOR
 
 PAR_FACTOR = 10.0
-"""What a missed target costs, in times the worst that meets it."""
+"""The penalty of a missed target, as a multiple of the slowest row that meets it."""
 
 NOISE_FLOORS = 3.0
-"""Errors are told apart from so many times truth's own noise on."""
+"""The smallest decidable target, as a multiple of truth's own noise."""
 
 WITHIN = 0.10
-"""Where the single best lies this near to the virtual best, there is no gap to speak of."""
+"""Where the single best lies this near to the virtual best, the gap is too small to report."""
 
 WORST = 5
-"""So many of the worst choices are told."""
+"""The number of worst choices in the report."""
 
 Figures = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What is asked: the largest error, and the milliseconds as a share of the way from the quickest to the slowest row (in
-    logarithms), or no limit.
+    """A target: the largest error, and a limit of time or none.
+
+    The limit is a share of the way from the quickest to the slowest row in logarithms of milliseconds.
     """
 
     name: str
@@ -52,7 +53,7 @@ GOALS = (
 
 @dataclass(frozen=True, eq=False)
 class GoalInstance:
-    """A measured view (``view``: its record) with a goal. ``max_ms`` is in milliseconds; rows are named by what they do."""
+    """A measured view (``view``: its record) with a goal. ``max_ms`` is in milliseconds; row names describe their steps."""
 
     view: Figures
     goal: Goal
@@ -67,7 +68,7 @@ class GoalInstance:
 
     @property
     def tellable(self) -> bool:
-        """Whether truth's own noise leaves to tell what keeps to the error."""
+        """Whether truth's own noise allows to decide which rows keep to the error."""
         return self.goal.max_error >= NOISE_FLOORS * self.view["noise_floor"]
 
     @property
@@ -76,13 +77,13 @@ class GoalInstance:
         return any(map(self.meets, self.rows))
 
     def meets(self, name: str) -> bool:
-        """Whether a row keeps to the error (or what truth's own noise leaves to tell) and to the time."""
+        """Return whether a row meets the error (or the smallest decidable error) and the time."""
         most = max(self.goal.max_error, NOISE_FLOORS * self.view["noise_floor"])
         row = self.rows[name]
         return self.error(name) <= most and row["interior"] <= MAX_INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
 
     def losses(self, strict: bool = False) -> dict[str, float]:
-        """The loss of every row, as a multiple of the least; ``strict``: with a fixed cutoff."""
+        """Return the loss of every row, as a multiple of the least; ``strict``: with a fixed cutoff."""
         met = {name: row["ms"] for name, row in self.rows.items() if self.meets(name)}
         if met:
             cutoff = max(row["ms"] for row in self.rows.values()) if strict else max(met.values())
@@ -96,11 +97,11 @@ class GoalInstance:
 
     @property
     def cheapest(self) -> str | None:
-        """The quickest row that meets the target; ``None`` where none does."""
+        """The quickest row that meets the target; ``None`` if none does."""
         return min(filter(self.meets, self.rows), key=lambda name: self.rows[name]["ms"], default=None)
 
     def share_of_best(self, ms: float) -> float:
-        """Milliseconds as a multiple of those of the quickest row that meets the target; 0 where none does."""
+        """Return milliseconds as a multiple of those of the quickest row that meets the target; 0 if none does."""
         return ms / self.rows[self.cheapest]["ms"] if self.cheapest is not None else 0.0
 
     def _overshoot(self, name: str) -> float:
@@ -110,7 +111,7 @@ class GoalInstance:
 
 
 def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> list[GoalInstance]:
-    """Every view with every goal; those with fewer than two rows leave nothing to choose."""
+    """Return every view with every goal; those with fewer than two rows offer no choice."""
     made = []
     for view in views:
         ms = [row["ms"] for row in view["rows"].values()]
@@ -122,13 +123,13 @@ def instances_of(views: Iterable[Figures], goals: Sequence[Goal] = GOALS) -> lis
 
 @dataclass(frozen=True)
 class PolicyScore:
-    """A policy on some instances: means over them, as the page of figures has them."""
+    """Scores of a policy on some instances: means, as in the page of figures."""
 
     instances: int
     met: float
-    """Share of the instances whose target can be met in which the policy's row meets it."""
+    """Share of the instances with a feasible target in which the policy's row meets it."""
     met_interval: tuple[float, float]
-    """Within which it lies in 95 of 100 draws of as many terrains."""
+    """The 95 % interval of that share over resampled terrains."""
     regret: float
     regret_interval: tuple[float, float]
     regret_median: float
@@ -136,14 +137,14 @@ class PolicyScore:
     regret_met: float
     """The mean of the choices that met their target."""
     unclean: float
-    """Share in which its row has interior error above ``MAX_INTERIOR`` though a clean row met the target."""
+    """Share in which its row has an interior error above ``MAX_INTERIOR`` though a clean row met the target."""
     single: float
     """Mean loss of the single best."""
     single_met: float
     gap_closed: float | None
     """``None`` where single best and virtual best lie within ``WITHIN``."""
     worst: list[tuple[str, str, str, float]]
-    """View, goal, row taken and regret of the worst choices."""
+    """View, goal, chosen row and regret of the worst choices."""
 
 
 def judged(
@@ -153,8 +154,9 @@ def judged(
     own_ms: Callable[[GoalInstance], float] = lambda one: 0.0,
     strict: bool = False,
 ) -> PolicyScore:
-    """The verdict on the rows ``taken`` by (view, goal), against those of the single best; ``own_ms`` is what a choice itself
-    takes, ``strict`` as in ``GoalInstance.losses``.
+    """Score the rows ``taken`` by (view, goal), and compare them with those of the single best.
+
+    ``own_ms`` is the time of the choice itself, ``strict`` as in ``GoalInstance.losses``.
     """
     losses = [one.losses(strict) for one in instances]
     keys = [(one.view["name"], one.goal.name) for one in instances]
@@ -177,12 +179,13 @@ def judged(
 
 
 DRAWS = 2000
-"""Draws of terrains that intervals are taken from."""
+"""The number of bootstrap draws of terrains for intervals."""
 
 
 def _interval(values: np.ndarray, terrain: np.ndarray) -> tuple[float, float]:
-    """Within which a mean lies in 95 of 100 draws, with repetition, of as many terrains: views of one are no independent trials (B.
-    Efron, Bootstrap methods: another look at the jackknife, 1979).
+    """Return the 95 % bootstrap interval of a mean, over draws of as many terrains with repetition.
+
+    Views of one terrain are not independent (B. Efron, Bootstrap methods: another look at the jackknife, 1979).
     """
     names = np.unique(terrain)
     if not len(names):
@@ -196,16 +199,18 @@ def _interval(values: np.ndarray, terrain: np.ndarray) -> tuple[float, float]:
 
 
 def _mean(values: np.ndarray) -> float:
-    """The mean; 0 of nothing."""
+    """Return the mean; 0 of nothing."""
     return float(values.mean()) if values.size else 0.0
 
 
 def stand_in(choice: str, view: Figures) -> str | None:
-    """The row that a choice comes to in a view: without what the view has no use for (cascades, sizes, a sweep of level ground)."""
+    """Return the row that a choice becomes in a view, without options that do not apply (cascades, sizes, a sweep of level
+    ground).
+    """
     company, *settings = choice.split()
     swept = next((name for name, row in view["rows"].items() if row["algorithms"] == ["sweep"]), None)
     if company.startswith("sweep") and choice not in view["picks"] and swept is not None:
-        return swept  # relief alone casts here: what else the pick has does nothing
+        return swept  # only relief casts here: the other options of the choice have no effect
     alone = company.removeprefix("sweep+").removeprefix("shadow_map+")
     for one in (company, alone, company.split("+")[0]):
         for end in range(len(settings), -1, -1):
@@ -216,7 +221,7 @@ def stand_in(choice: str, view: Figures) -> str | None:
 
 
 def single_best(training: Sequence[GoalInstance]) -> str:
-    """The one choice with the least mean loss over the training instances; one that cannot be drawn misses the target."""
+    """Return the choice with the least mean loss over the training instances; a choice that cannot be drawn misses the target."""
     names = sorted({name for one in training for name in one.view["picks"] if not name.startswith("rules ")})
     losses = [(one, one.losses()) for one in training]
 
@@ -228,8 +233,9 @@ def single_best(training: Sequence[GoalInstance]) -> str:
 
 
 def marginal(instances: Sequence[GoalInstance], algorithms: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """What each algorithm adds: how much larger the virtual best's mean loss is without it, and the share of instances whose best
-    row has it.
+    """Return the marginal value of each algorithm.
+
+    It is the increase of the virtual best's mean loss without it, and the share of instances whose best row has it.
     """
     found = {}
     for algorithm in algorithms:

@@ -1,4 +1,4 @@
-"""Measuring an instance: every choice of the portfolio drawn on the real view, timed, and held against ray-traced truth."""
+"""Measure an instance: every choice of the portfolio is drawn on the real view, timed, and compared with ray-traced truth."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
 
 RUNS = 3
-"""A row is timed so often, all rows in turns, after a first run that pays for compiling."""
+"""The number of timed runs of a row, all rows in turns, after a first run that compiles."""
 
 Figures = dict[str, Any]
 
 
 def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan]:
-    """By name the plans of all choices of a light, and those that the rules lead to at each error that is asked for."""
+    """Return by name the plans of all choices of a light, and those of the rules for each requested error."""
     level = scene.loaded.level
     planner = planner_of(descriptor, level)
     choices = portfolio(descriptor, light, planner.casting(light), planner.asked)
@@ -44,9 +44,10 @@ def plans_of(descriptor: Descriptor, scene: Scene, light: str) -> dict[str, Plan
 
 
 def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
-    """By choice the name of its row: those that come to the same steps share one, and no others do.
+    """Return by choice the name of its row: choices with the same steps, and only these, share one.
 
-    The rules may split cascades where no choice does, under the same name: what comes second is told by who takes it.
+    The rules may split cascades where no choice does, under the same name. A second row then has the name of the choice that takes
+    it.
     """
     names: dict[str, str] = {}
     known: dict[str, list[tuple[list[Step], str]]] = {}
@@ -60,9 +61,10 @@ def rows_of(plans: Mapping[str, Plan], light: str) -> dict[str, str]:
 
 
 def measured(instance: ViewInstance, data: Path) -> Figures:
-    """An instance's record: its descriptor as ``POST /plan`` takes it, milliseconds and errors of its rows, and by choice the row.
+    """Return an instance's record: its descriptor as ``POST /plan`` takes it, times and errors of its rows, and by choice
+    the row.
 
-    ``error`` is the figure that targets go by: ``wrong`` where nothing lies in cast shadow, since of nothing there is no share.
+    ``error`` is the figure of targets: ``wrong`` without cast shadow, of which there is no share then.
     """
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
@@ -84,7 +86,7 @@ def measured(instance: ViewInstance, data: Path) -> Figures:
 
 
 def timed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
-    """The record with its rows timed anew."""
+    """Return the record with its rows timed again."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         light = record["light"]
@@ -95,7 +97,7 @@ def timed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
 def _timed(
     scene: Scene, view: MapView | PerspectiveView, light: str, plans: Mapping[str, Plan], rows: Mapping[str, Figures]
 ) -> dict[str, Figures]:
-    """Rows with their median milliseconds: of a perspective view, or of a map's block in the mean."""
+    """Return rows with their median milliseconds: of a perspective view, or the mean over a map's blocks."""
     pictures = picture_blocks(scene, view)
     drawn = {name: plans[choice] for choice, name in rows_of(plans, light).items()}
     times: dict[str, list[float]] = {name: [] for name in rows}
@@ -113,7 +115,7 @@ def _row(figures: Figures, light: str) -> Figures:
 
 
 def redescribed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
-    """The record with its descriptor made anew, and the milliseconds that describing the warm scene and choosing take."""
+    """Return the record with a new descriptor, and the milliseconds of describing the warm scene and choosing."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         profile = load_profile(device().renderer, device().version)
@@ -127,7 +129,7 @@ def redescribed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
 
 
 def probes(instance: ViewInstance, data: Path, record: Figures) -> Figures:
-    """The record with what probes can see of it."""
+    """Return the record with the observations of probes."""
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))
         profile = load_profile(device().renderer, device().version)
@@ -148,7 +150,7 @@ def _all_rounded(value: Any) -> Any:
 
 
 def _compared(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, plans: dict[Any, Plan]) -> Any:
-    """The comparison of those plans that the view is served with; what a fill refuses is taken out of ``plans``."""
+    """Return the comparison of the plans that serve the view; it removes refused plans from ``plans``."""
     while True:
         try:
             return compare(scene, view, name, light=light, time_limit_s=0.0, plans=list(plans.values()))

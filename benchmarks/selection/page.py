@@ -1,4 +1,4 @@
-"""The measured tables of docs/selection.md, from the table that is kept in the repository."""
+"""The measured tables of docs/selection.md, from the table in the repository."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from skugga.shadows.registry import selectable_algorithms
 Figures = dict[str, Any]
 
 DENSE = "dense wood"
-"""The family of views in which coverage counts."""
+"""The family of views whose targets use coverage."""
 
 START, END = "<!-- measured -->\n", "<!-- end of measured -->\n"
-"""What the tables stand between, in the page."""
+"""The marks of the tables in the page."""
 
 TARGETS = {
     "rules": {"met": "90 %"},
@@ -28,13 +28,13 @@ TARGETS = {
     "probe": {"met": "96.5 %", "gap": "0.90", "mean": "0.60", "p95": "2.00"},
     "probe, no limit of time": {"met": "99 %", "mean": "0.10"},
 }  # fmt: skip
-"""What was aimed for."""
+"""The targets."""
 
 ALGORITHM_TITLES = {each.name: each.plural for each in selectable_algorithms()}
 
 
 def page(views: Sequence[Figures], device: DeviceProfile) -> str:
-    """All tables, as Markdown."""
+    """Format all tables as Markdown."""
     made = splits(views, device)
     parts = [
         _what(views),
@@ -50,7 +50,7 @@ def page(views: Sequence[Figures], device: DeviceProfile) -> str:
 
 
 def with_tables(text: str, tables: str) -> str:
-    """A page with its tables replaced."""
+    """Replace the tables of a page."""
     before, rest = text.split(START)
     _, after = rest.split(END)
     return before + START + tables + END + after
@@ -82,7 +82,7 @@ def _what(views: Sequence[Figures]) -> str:
 
 
 def _policies(made: Split) -> str:
-    """The scores of the policies, first of what can be told, then by other rules of counting."""
+    """Format the scores of the policies: first of decidable instances, then by other rules of counting."""
     told = [one for one in made.instances if one.tellable]
     free = [one for one in told if one.max_ms is None]
     rows = []
@@ -109,7 +109,7 @@ def _score_row(name: str, its: PolicyScore, aims: Mapping[str, str]) -> list[str
 
 
 def _counted_otherwise(made: Split) -> str:
-    """The same choices by other rules of counting."""
+    """Format the same choices by other rules of counting."""
     told = [one for one in made.instances if one.tellable]
     loose = list(made.instances)
     met = [one for one in told if one.can_be_met]
@@ -137,7 +137,7 @@ def _counted_otherwise(made: Split) -> str:
 
 
 def _singles(made: Split) -> str:
-    """The single best of each goal."""
+    """Format the single best of each goal."""
     best: dict[str, tuple[str, int]] = {}
     for name, parts in made.best.items():
         goal, choice = name.split(": ", 1)
@@ -152,7 +152,7 @@ def _singles(made: Split) -> str:
 
 
 def _anytime(made: Sequence[Split]) -> str:
-    """What more time is worth, with dense woods (of which a frame takes a second) and without."""
+    """Format the value of more time, with dense woods (whose frames take a second) and without."""
     rows = []
     for each in made:
         told = [one for one in each.instances if one.tellable]
@@ -167,7 +167,7 @@ def _anytime(made: Sequence[Split]) -> str:
 
 
 def _parts(made: Split) -> str:
-    """Targets met of those that can be, by target and by family; families without the limit of time."""
+    """Format the share of met targets that are feasible, by target and by family; families without the limit of time."""
     able = [one for one in made.instances if one.tellable and one.can_be_met]
     parts = {goal.name: [one for one in able if one.goal.name == goal.name] for goal in GOALS}
     for one in able:
@@ -184,7 +184,7 @@ def _parts(made: Split) -> str:
 
 
 def _probes(made: Sequence[Split]) -> str:
-    """How long probes take, and how many options they draw."""
+    """Format the time of probes, and the number of options that they draw."""
     rows = []
     for each in made:
         for kind in ("perspective", "map"):
@@ -249,6 +249,6 @@ def _times(views: Sequence[Figures], device: DeviceProfile) -> str:
 
 
 def markdown_table(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """A table in Markdown, lines ended."""
+    """Return a table in Markdown, with line ends."""
     lines = [list(map(str, heads)), ["---"] * len(heads), *(list(map(str, row)) for row in rows)]
     return "".join("| " + " | ".join(line) + " |\n" for line in lines)

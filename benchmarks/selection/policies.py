@@ -1,4 +1,4 @@
-"""What each policy takes of measured views, from nothing but the body of ``POST /plan``; models are fitted to other views."""
+"""The choices of each policy for measured views, from the body of ``POST /plan`` only; models are fitted to other views."""
 
 from __future__ import annotations
 
@@ -27,36 +27,36 @@ Figures = dict[str, Any]
 Taken = dict[tuple[str, str], str]
 
 FOLDS = 3
-"""Parts into which the views of each terrain are dealt: each is judged by models that were fitted to the others."""
+"""Folds of the views of each terrain: each is judged by models that were fitted to the others."""
 
 
 BUDGET_S = 3.0
 """The time of a probe, seconds ..."""
 
 BUDGETS_S = (1.0, 3.0, 10.0, 30.0)
-"""... and others that are tried, beside that of ``measure``, which has no limit."""
+"""... and other times to compare, beside that of ``measure``, which has no limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """What each policy takes of all instances, where the models of each instance were fitted to a part that has not got it."""
+    """The choices of each policy for all instances, with models fitted to a fold without the instance."""
 
     name: str
     instances: Sequence[GoalInstance]
     taken: Mapping[str, Taken]
     single: Taken
     best: Mapping[str, int]
-    """The single best choices by goal, and in how many parts each was it."""
+    """The single best choices by goal, and the number of folds where each was it."""
     probe_s: Mapping[tuple[str, str], float]
-    """How long the probe of an instance takes."""
+    """The duration of an instance's probe."""
     drawn: Mapping[tuple[str, str], int]
-    """How many options it draws."""
+    """The number of options that it draws."""
     by_budget: Mapping[str, Taken]
-    """What probes of other lengths take."""
+    """The choices with probes of other durations."""
 
 
 def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:
-    """Parts with views of each terrain in turn."""
+    """Return folds with views of each terrain in turn."""
     counts: dict[str, int] = {}
     parts: list[list[Figures]] = [[] for _ in range(FOLDS)]
     for view in views:
@@ -66,12 +66,12 @@ def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:
 
 
 def terrains(views: Sequence[Figures]) -> list[list[Figures]]:
-    """Parts of one terrain each."""
+    """Return folds of one terrain each."""
     return [[view for view in views if view["terrain"] == name] for name in dict.fromkeys(view["terrain"] for view in views)]
 
 
 def split(name: str, parts: Sequence[tuple[Sequence[Figures], Sequence[Figures]]], device: DeviceProfile) -> Split:
-    """All parts (views to judge, views to fit to) judged by models and a single best for each goal that the others gave."""
+    """Judge all folds (views to judge, views to fit to) by models and a single best for each goal from the training views."""
     cases: dict[str, list[FitCase]] = {}
     taken: dict[str, Taken] = {policy: {} for policy in POLICIES}
     single: Taken = {}
@@ -105,7 +105,7 @@ def split(name: str, parts: Sequence[tuple[Sequence[Figures], Sequence[Figures]]
 
 
 def _rules_pick(one: GoalInstance) -> str:
-    """The name of the plan that the rules make for a goal."""
+    """Return the name of the rules' plan for a goal."""
     within = f"rules {one.goal.max_error:g} within"
     return within if one.max_ms is not None and within in one.view["picks"] else f"rules {one.goal.max_error:g}"
 
@@ -115,13 +115,13 @@ def _leader(probe: LightProbe, one: GoalInstance) -> int:
 
 
 def _described(one: GoalInstance) -> tuple[Descriptor, StandaloneRequest]:
-    """What a policy is told: the descriptor without the view's name, and the target."""
+    """Return the input of a policy: the descriptor without the view's name, and the target."""
     descriptor = Descriptor.model_validate({**one.view["descriptor"], "view": "view"})
     return descriptor, asked_of(descriptor, Shadows(max_error=one.goal.max_error, max_ms=one.max_ms))
 
 
 def predicted(one: GoalInstance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
-    """The row that ``predict`` takes."""
+    """Return the row that ``predict`` chooses."""
     descriptor, asked = _described(one)
     return name_of(predicted_plan(descriptor, asked, None, device, model), one.view["light"])
 
@@ -129,8 +129,9 @@ def predicted(one: GoalInstance, device: DeviceProfile, model: ErrorModel | None
 def replayed(
     one: GoalInstance, device: DeviceProfile, model: ErrorModel | None, budget_s: float | None
 ) -> tuple[LightProbe | None, list[str]]:
-    """What a probe of an instance comes to, by what was recorded of its view, and the names of its options' rows; ``None`` where
-    nothing was recorded.
+    """Replay a probe of an instance from its view's record; also return the names of its options' rows.
+
+    The result is ``None`` without a record.
     """
     record, light = one.view.get("probe") or {}, one.view["light"]
     options = plan_options(planner_of(*_described(one)), device, model)
@@ -146,7 +147,7 @@ def replayed(
 
 
 def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
-    """Views held out of known terrains, all of a terrain left out, and terrains that nothing was ever fitted to."""
+    """Return views held out of known terrains, all of a terrain held out, and terrains that no model was ever fitted to."""
     known, unseen = ([view for view in views if bool(view.get("unseen")) is which] for which in (False, True))
 
     def without(parts: Sequence[Sequence[Figures]]) -> list[tuple[Sequence[Figures], Sequence[Figures]]]:
@@ -165,7 +166,7 @@ def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
 def errors_of_time(
     cases: Iterable[FitCase], device: DeviceProfile, which: Callable[[FitCase], bool] = lambda case: True
 ) -> np.ndarray:
-    """By how much the expected times of rows are off, as shares of those measured."""
+    """Return the errors of rows' expected times, as shares of the measured ones."""
     off = []
     for case in filter(which, cases):
         off.append(case.expected_ms(device) / case.row["ms"] - 1.0)

@@ -1,4 +1,4 @@
-"""What a probe would see of a measured view: recorded once of every row, so that any policy can be replayed with any model."""
+"""Observations of probes in a measured view, recorded once for every row, so that any policy can be replayed with any model."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ Figures = dict[str, Any]
 
 
 def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, profile: DeviceProfile) -> Figures:
-    """What probes of a light's options can see. ``start_s``: what everything takes that is done once, whatever is drawn;
-    ``points_s``: what truth on all lattices up to each step takes; by row the milliseconds of a probe's draw, and its proofs with
-    one lattice of points, 2, 4, 8 and 16.
+    """Record the observations of probes for a light's options.
+
+    ``start_s`` is the time of work that is done once, whatever is drawn. ``points_s`` is the time of truth on all lattices up to
+    each step. Each row has the milliseconds of a probe's draw, and its proofs with one lattice of points, 2, 4, 8 and 16.
     """
     descriptor, level = describe(scene, view, name, "points"), scene.loaded.level
     options = plan_options(planner_of(descriptor, level), profile)
@@ -54,15 +55,13 @@ def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: st
         start = time.perf_counter()
         for number, (which, row) in enumerate(drawn):
             rows[row]["proofs"].append(list(astuple(prober.measurement(which))))
-            if number == 0:  # the first one pays for the points
+            if number == 0:  # the first draw pays for the points
                 points_s.append(time.perf_counter() - start + (points_s[-1] if points_s else 0.0))
     return {"start_s": start_s, "points_s": points_s, "rows": rows}
 
 
 class RecordedProver:
-    """A ``skugga.selector.measure.probing.OptionProber`` that knows what was recorded of a view; ``rows`` names the row of each
-    option.
-    """
+    """A ``skugga.selector.measure.probing.OptionProber`` that replays a view's record; ``rows`` names the row of each option."""
 
     def __init__(self, record: Figures, rows: Sequence[str]) -> None:
         self._record, self._rows = record, rows
@@ -70,11 +69,11 @@ class RecordedProver:
         self._step: int | None = None
 
     def elapsed_s(self) -> float:
-        """Seconds since it began, as it would have taken."""
+        """The simulated seconds since it began."""
         return self._elapsed_s
 
     def draw(self, which: int) -> float | None:
-        """An option's milliseconds; ``None`` where it was refused."""
+        """Return an option's milliseconds; ``None`` if it was refused."""
         row = self._record["rows"].get(self._rows[which])
         if row is None:
             return None
@@ -82,23 +81,23 @@ class RecordedProver:
         return row["ms"]
 
     def draw_s(self, ms: float) -> float:
-        """How long it takes to draw what takes so many milliseconds, seconds."""
+        """Return the seconds of a probe's draw for an option of ``ms`` milliseconds."""
         return SceneProber.draw_s(ms)
 
     def measurement(self, which: int) -> ErrorMeasurement:
-        """What truth at the points so far said."""
+        """Return the recorded measurement at the points so far."""
         if self._step is None:
             self._step = 0
             self._elapsed_s += self._record["points_s"][0]
         return ErrorMeasurement(*self._record["rows"][self._rows[which]]["proofs"][self._step])
 
     def add_points_s(self) -> float | None:
-        """How long it would take to ask truth at more points; ``None`` where all of them are known."""
+        """The seconds that truth at more points would take; ``None`` if all of them are known."""
         points_s, step = self._record["points_s"], self._step or 0
         return None if step + 1 == len(points_s) else points_s[step + 1] - points_s[step]
 
     def add_points(self) -> None:
-        """Ask truth at more points."""
+        """Evaluate truth at more points."""
         more_s = self.add_points_s()
         assert more_s is not None and self._step is not None
         self._elapsed_s += more_s
@@ -106,6 +105,6 @@ class RecordedProver:
 
 
 def recorded_options(options: LightOptions, names: Sequence[str], record: Figures) -> LightOptions:
-    """Options without those of which nothing was recorded: they count as refused."""
+    """Return the options that have a record; the others count as refused."""
     missing = {which for which, name in enumerate(names) if name not in record["rows"]}
     return LightOptions(options.options, options.error, options.interior, options.time, refused=frozenset(missing))

@@ -1,4 +1,4 @@
-"""The table of what was measured, as it is kept in the repository: a line with the device, then one a view."""
+"""The table of measurements in the repository: a line with the device, then one a view."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from skugga.terrain.facts.descriptor import Descriptor
 TABLE = Path(__file__).with_name("selection.jsonl")
 
 ROW_COLUMNS = ("algorithms", "ms", "wrong", "wrong_cast", "interior", "coverage", "bytes")
-"""What a row is a list of, in the table."""
+"""Columns of a row in the table."""
 
 DIGITS = 8
-"""Of a descriptor's numbers: shares must still add up to no more than one."""
+"""Digits of a descriptor's numbers: shares must still add up to no more than one."""
 
 PROBE_DIGITS = 4
 
@@ -24,13 +24,13 @@ Figures = dict[str, Any]
 
 
 def write_table(views: Iterable[Figures], profile: DeviceProfile, path: Path = TABLE) -> None:
-    """Write views' records and the calibration of the device that they were measured on."""
+    """Write views' records and the calibration of the device that measured them."""
     lines = [profile.model_dump(mode="json"), *map(_packed, views)]
     path.write_text("".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines), encoding="utf-8")
 
 
 def read_table(path: Path = TABLE) -> tuple[list[Figures], DeviceProfile]:
-    """The records of the views of which more than one row was measured, and the device's calibration."""
+    """Read the records of the views with more than one measured row, and the device's calibration."""
     first, *lines = path.read_text(encoding="utf-8").splitlines()
     return [view for view in map(_unpacked, map(json.loads, lines)) if len(view["rows"]) > 1], DeviceProfile.model_validate_json(
         first
@@ -38,7 +38,7 @@ def read_table(path: Path = TABLE) -> tuple[list[Figures], DeviceProfile]:
 
 
 def _packed(view: Figures) -> Figures:
-    """The record without defaults and names of columns; rows are told by their number in ``picks`` and ``probe``."""
+    """Return the record without defaults and names of columns; ``picks`` and ``probe`` refer to rows by number."""
     names = list(view["rows"])
     descriptor = Descriptor.model_validate(view["descriptor"]).model_dump(mode="json", exclude_defaults=True)
     probe = _with_rows(view, lambda rows: {str(names.index(row)): its for row, its in rows if row in names})
@@ -58,7 +58,7 @@ def _unpacked(line: Figures) -> Figures:
 
 
 def _with_rows(view: Figures, renamed: Callable[[Iterable[tuple[str, Any]]], Figures]) -> Figures:
-    """What probes see of a view, if it was recorded, its rows by other names, all with few digits."""
+    """Return the observations of probes in a view, if recorded, with renamed rows and rounded numbers."""
     if not view.get("probe"):
         return {}
     probe = _rounded(view["probe"], PROBE_DIGITS)

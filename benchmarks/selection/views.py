@@ -1,4 +1,4 @@
-"""The scenes and views on which the selector is held against what was measured: families of them, each on its own terrain."""
+"""Scenes and views for the evaluation of the selector: families of them, each on its own terrain."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ VILLAGE = (754_330.0, 4_012_390.0, 755_530.0, 4_013_590.0)
 CITY = "urban/goteborg_1m"
 
 DENSE_WOOD = (-84.200, 36.21633, -84.148, 36.25433)
-"""West, south, east and north, degrees: a part of the same that is taken to be wooded all over."""
+"""West, south, east and north, degrees: a part of the same, modelled as entirely wooded."""
 
 
 @dataclass(frozen=True)
 class ViewInstance:
-    """A view of a scene under a light. ``terrain`` is the ground it stands on: what is left out together.
+    """A view of a scene under a light. ``terrain`` is the ground that it belongs to: its views are held out together.
 
-    ``level`` is a bundled level's name, or the keys of one whose files lie in the folder of sample data; ``view`` is a view's
-    name or its keys, ``bounds`` those of a map, ``sun`` azimuth and altitude, degrees (``None``: the level's own light).
+    ``level`` is a bundled level's name, or the keys of one whose files lie in the folder of sample data. ``view`` is a view's name
+    or its keys, ``bounds`` those of a map, ``sun`` azimuth and altitude, degrees (``None``: the level's own light).
     """
 
     name: str
@@ -50,15 +50,16 @@ class ViewInstance:
     sun: SunAngles | None = None
     bounds: tuple[float, float, float, float] | None = None
     unseen: bool = False
-    """Whether its terrain is kept from the models: nothing is ever fitted to it."""
+    """Whether its terrain is held out of all models."""
     look: tuple[float, float, float, float, float] | None = None
-    """Of a perspective view that no level names: the eye's and the target's shares of the ground's extent from west and south
-    (eye_x, eye_y, target_x, target_y), and the eye's height above ground, metres."""
+    """A perspective view without a name in its level: shares of the ground's extent from west and south of the eye and the
+    target (eye_x, eye_y, target_x, target_y), and the eye's height above ground, metres.
+    """
     size: tuple[int, int] | None = None
-    """Columns and rows, if they are not the usual ones."""
+    """Columns and rows, if they differ from the default."""
 
     def opened(self, data: Path, folder: Path) -> tuple[Scene, MapView | PerspectiveView]:
-        """The scene and its view. ``folder`` takes the level file that is written for a scene of sample data."""
+        """Open the scene and its view. ``folder`` takes the level file that is written for a scene of sample data."""
         scene = scene_of(self.level, data, folder)
         scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
         if self.look is not None:
@@ -71,7 +72,7 @@ class ViewInstance:
 
 
 def scene_of(level: str | dict[str, Any], data: Path, folder: Path) -> Scene:
-    """The scene of a bundled level, or of the text of one; ``folder`` takes its file."""
+    """Build the scene of a bundled level, or of the text of one; ``folder`` takes its file."""
     if isinstance(level, str):
         return build_scene(load_level(find_level(level)))
     path = folder / "level.yaml"
@@ -88,7 +89,7 @@ def _rectangle(bounds: tuple[float, float, float, float]) -> dict[str, Any]:
 
 
 def _middle(scene: Scene) -> tuple[float, float, float, float] | None:
-    """The middle of a raster, a pixel a cell; ``None`` (all of it) where it is smaller than the picture, and in flat worlds."""
+    """Return the middle of a raster, a pixel a cell; ``None`` (all of it) if it is smaller than the picture, and in flat worlds."""
     if scene.world.flat:
         return None
     full_view = scene.view("map")
@@ -210,8 +211,9 @@ def _wooded() -> Iterator[ViewInstance]:
 
 
 def _dense() -> Iterator[ViewInstance]:
-    """Views across woods in which most pixels show leaves of several trees: whether they are lit is not decidable, so targets go by
-    ``coverage``.
+    """Return views across woods where most pixels show leaves of several trees.
+
+    Their visibility is not decidable, so targets use ``coverage``.
     """
     looks: tuple[tuple[tuple[float, float, float, float, float], SunAngles], ...] = (
         ((0.02, 0.02, 0.60, 0.60, 450.0), (248.0, 14.0)), ((0.98, 0.98, 0.30, 0.30, 450.0), (23.0, 24.0)),
@@ -227,7 +229,7 @@ def _dense() -> Iterator[ViewInstance]:
 
 
 def _unseen() -> Iterator[ViewInstance]:
-    """Terrains that no model is fitted to."""
+    """Return views on terrains that no model is fitted to."""
     maps: tuple[tuple[str, tuple[SunAngles, ...]], ...] = (
         ("sanfrancisco", ((118.0, 19.0), (244.0, 7.0))), ("lisbon", ((251.0, 11.0), (171.0, 43.0))), ("rmnp", ((108.0, 14.0),)),
         ("autzen", ((204.0, 31.0), (97.0, 13.0))), ("nz", ((302.0, 5.0),)), ("texas", ((88.0, 1.5),)),
@@ -254,5 +256,5 @@ def _unseen() -> Iterator[ViewInstance]:
 
 
 def instances() -> list[ViewInstance]:
-    """All of them, in order."""
+    """Return all instances, in order."""
     return [*_thesis(), *_relief(), *_wooded(), *_dense(), *_unseen()]

@@ -1,1 +1,1 @@
-"""Questions of sun beside other tools: ``python -m benchmarks.sun_questions`` writes docs/sun-questions.md."""
+"""Sun questions compared with other tools: ``python -m benchmarks.sun_questions`` writes docs/sun-questions.md."""

@@ -1,11 +1,11 @@
-"""Hours of sun, horizons of points and masks of a day, by Skugga and by other tools: seconds, and errors beside truth.
+"""Sun hours, horizons of points and masks of a day, by Skugga and by other tools: seconds, and errors against truth.
 
     python -m benchmarks.sun_questions DATA --python PATH [--side 300] [--cells 1000] [--only hours,point,masks] [--write-only]
 
-DATA is a folder with the rasters that ``asking.RASTERS`` names. The Python packages (`pip install whitebox-workflows insolation
-numba scipy solweig rasterio`, and `pip install --no-build-isolation topocalc`) are those of ``--python``; GRASS is Debian's
-`grass-core`. What is absent or fails is named and left out. ``--side`` is that of the parts of rasters whose hours are asked for,
-in cells; ``--only`` measures some questions anew and keeps the others' figures; ``--write-only`` measures nothing.
+DATA is a folder with the rasters of ``asking.RASTERS``. ``--python`` is the interpreter of the Python packages (`pip install
+whitebox-workflows insolation numba scipy solweig rasterio`, and `pip install --no-build-isolation topocalc`); GRASS is Debian's
+`grass-core`. Tools that are absent or fail are named and left out. ``--side`` is the side, in cells, of the parts of rasters for
+the sun hours. ``--only`` measures some questions again and keeps the others' figures; ``--write-only`` measures nothing.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ SHORT = {"hours": HOURS, "point": HORIZON, "masks": MASKS}
 
 
 REPEATS = 2
-"""Runs of which a horizon's seconds are the median."""
+"""Runs of a horizon, of whose seconds the figure is the median."""
 
 
 class Measuring:
-    """What is measured, as it grows."""
+    """The measurements so far."""
 
     def __init__(self, data: Path, python: str, side: int, cells: int, folder: Path) -> None:
         self._data, self._python, self._side, self._cells, self._folder = data, python, side, cells, folder
@@ -50,7 +50,7 @@ class Measuring:
         self._begin = time.perf_counter()
 
     def hours(self) -> None:
-        """The first question."""
+        """Measure the first question."""
         tools = []
         for tool in hours_tools(self._python):
             try:
@@ -70,7 +70,7 @@ class Measuring:
                     self._add(answer)
 
     def point(self) -> None:
-        """The second question."""
+        """Measure the second question."""
         for name, (_, _, about) in RASTERS.items():
             dem = read_dem(self._data, name, None, self._folder)
             if dem is not None:
@@ -81,7 +81,7 @@ class Measuring:
                     self._add(answer)
 
     def masks(self) -> None:
-        """The third question."""
+        """Measure the third question."""
         name, (_, _, about) = next(iter(RASTERS.items()))
         dem = read_dem(self._data, name, None, self._folder)
         if dem is not None:
@@ -106,7 +106,7 @@ class Measuring:
 
 
 def measured(data: Path, python: str, side: int, cells: int, only: list[str]) -> SunComparison:
-    """The questions ``only``; the others' figures are those that are kept."""
+    """Measure the questions ``only``; the other questions have their stored figures."""
     with tempfile.TemporaryDirectory() as made:
         measuring = Measuring(data, python, side, cells, Path(made))
         for name in only:

@@ -1,4 +1,4 @@
-"""How tools are asked: commands, where they are found, and a raster that lies as every tool can take it."""
+"""Commands of the tools, their versions, and a raster that every tool accepts."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ RASTERS = {
     "Big Tujunga": ("mountain/bigtujunga_30m_utm11.tif", "EPSG:32611", "SRTM of the Big Tujunga catchment, California"),
     "Essen": ("urban/essen_dom1_32_356_5699_1_nw_2020.tif", "EPSG:25832", "surface model of a part of Essen, Germany"),
 }
-"""Name -> file below the folder of data, the CRS of its UTM zone, what it is."""
+"""Name -> file below the folder of data, the CRS of its UTM zone, a description."""
 
 
 @dataclass(frozen=True)
 class QuestionDem:
-    """A raster of heights (rows, cols) float32 in metres as a file: on square cells, its middle on its zone's central meridian, so
-    that grid north is true north within a tenth of a degree.
+    """A raster file of heights (rows, cols) float32 in metres on square cells.
+
+    Its middle lies on its zone's central meridian, so that grid north is true north within a tenth of a degree.
     """
 
     name: str
@@ -50,7 +51,7 @@ class QuestionDem:
         return Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True).transform(*self.middle_m)
 
     def xy(self, row: int, col: int) -> tuple[float, float]:
-        """Easting and northing of a cell's middle."""
+        """Return easting and northing of a cell's middle."""
         rows, cols = self.height_m.shape
         return (
             self.middle_m[0] + (col + 0.5 - cols / 2) * self.cell_m,
@@ -66,7 +67,7 @@ def dem_of(name: str, height_m: np.ndarray, cell_m: float, crs: str, northing_m:
 
 
 def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionDem | None:
-    """A raster of ``RASTERS``, of its middle ``side`` cells a side at most; ``None`` where its file is not there."""
+    """Read a raster of ``RASTERS``, at most its middle ``side`` cells a side; ``None`` if its file is absent."""
     file, crs, _ = RASTERS[name]
     if not (data / file).exists():
         return None
@@ -81,7 +82,7 @@ def read_dem(data: Path, name: str, side: int | None, folder: Path) -> QuestionD
 
 
 def versions_of(python: str) -> dict[str, str]:
-    """Tool -> version, of those that are there; packages are those of the interpreter ``python``."""
+    """Return tool -> version of the available tools; packages are those of the interpreter ``python``."""
     packages = {"Whitebox Workflows": "whitebox-workflows whitebox_workflows", "topocalc": "topocalc topocalc.horizon"}
     commands = {name: [python, str(PEERS_PROGRAMS), "--version", *what.split()] for name, what in packages.items()}
     commands |= {

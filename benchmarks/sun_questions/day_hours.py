@@ -1,4 +1,4 @@
-"""The first question: hours of sun of 21 March, of a mountain raster and a city's surface model, by several tools beside rays."""
+"""The first question: sun hours of 21 March, on a mountain raster and a city's surface model, by several tools and by rays."""
 
 from __future__ import annotations
 
@@ -36,21 +36,23 @@ from skugga.terrain.scene import build_scene
 HOURS = "hours of a day"
 
 EVERY_S = 10.0
-"""Seconds from ray to ray."""
+"""Seconds between rays."""
 
 OFF_RIM = 3
 
 CLIFF_M, CLIFF_CELL_M, CLIFF_SHAPE = 300.0, 10.0, (161, 241)
-"""The check of conventions: a level floor, and one before a cliff in its east that is so high; a cell's side, and cells."""
+"""The check of conventions: the height of a cliff in the east of a level floor; a cell's side, and cells."""
 
 CLIFF_COL, CLIFF_CHECKED = 160, slice(60, 150, 10)
-"""The first column on the cliff, and those that are compared with the closed form."""
+"""The first column on the cliff, and the columns that are compared with the closed form."""
 
 
 @dataclass(frozen=True, eq=False)
 class HoursTool:
-    """A tool with its setting: what it is told for a raster and an output file, whose sun it means (``SUNS``), how its file is read
-    into hours (rows, cols); and a command that says its seconds of computing, where the first one does not.
+    """A tool with its setting.
+
+    It has the arguments for a raster and an output file, the name of its sun (``SUNS``), the reader of its file into hours (rows,
+    cols), and, if the first command does not report them, a command that prints its seconds of computing.
     """
 
     name: str
@@ -66,7 +68,7 @@ class HoursTool:
         return self.tool == "Skugga"
 
     def run(self, dem: QuestionDem) -> tuple[np.ndarray, ToolRun, float | None]:
-        """Hours, what the whole process took, and seconds of computing. Raises ``RuntimeError`` where it fails."""
+        """Return hours, the cost of the whole process, and seconds of computing. Raises ``RuntimeError`` if it fails."""
         out = dem.path.with_name(f"hours{self.suffix}")
         compute_s = None
         if self.computing is not None:
@@ -77,7 +79,7 @@ class HoursTool:
 
 
 class HoursTruth:
-    """Hours of sun of some cells of a raster by rays, for each of the suns that tools mean."""
+    """Sun hours of some cells of a raster by rays, for each of the suns that tools use."""
 
     def __init__(self, dem: QuestionDem, cells: int) -> None:
         self._dem = dem
@@ -89,7 +91,7 @@ class HoursTruth:
 
     @cached_property
     def astronomy(self) -> np.ndarray:
-        """Of NREL's sun with refraction, on the round earth, above the level plane: what Skugga means."""
+        """Hours by NREL's sun with refraction, on the round earth, above the level plane: Skugga's definition."""
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
         found = ray_truth(scene, view, self.row, self.col, astronomical_day(scene), EVERY_S / 60.0)[0]
@@ -98,7 +100,7 @@ class HoursTruth:
 
     @cached_property
     def solar_day(self) -> np.ndarray:
-        """Of GRASS's sun without refraction, on the round earth, above the level plane."""
+        """Hours by GRASS's sun without refraction, on the round earth, above the level plane."""
         scene = build_scene(load_level(self._dem.path))
         view = raster_view(scene).view.as_nodes()
         rays, frame = CellRays.over(scene, view, self.row, self.col), bare_nodes(scene, view, 1).frame
@@ -110,7 +112,7 @@ class HoursTruth:
 
     @cached_property
     def suncalc(self) -> np.ndarray:
-        """Of Whitebox's sun without refraction, on a flat earth, from half a degree below the level plane on."""
+        """Hours by Whitebox's sun without refraction, on a flat earth, from half a degree below the level plane on."""
         dem = self._dem
         rows, cols = dem.height_m.shape
         nodes = np.empty((rows, cols, 3))
@@ -123,7 +125,7 @@ class HoursTruth:
         return _hours(rays, enu, np.sin(np.radians(SUNCALC_LEAST_DEG)))
 
     def of(self, sun: str) -> np.ndarray:
-        """Hours (n,) by the sun of that name."""
+        """Return hours (n,) by the sun of that name."""
         return {"astronomy": self.astronomy, "solar day": self.solar_day, "suncalc": self.suncalc}[sun]
 
 
@@ -132,19 +134,19 @@ def _hours(rays: CellRays, directions: np.ndarray, least_sine: float) -> np.ndar
 
 
 def astronomical_day(scene) -> WindowSun:  # noqa: ANN001
-    """The sun through ``DATE`` by true solar time."""
+    """Return the sun through ``DATE`` by true solar time."""
     return window_suns(scene.world, [daily_window(date.fromisoformat(DATE), 0.0, 1440.0, UTC, scene.world)])[0]
 
 
 def day_length_h(sun: str, dem: QuestionDem) -> float:
-    """Hours from rise to set over a level horizon, by a tool's own sun; Whitebox's begin half a degree below it."""
+    """Return hours from rise to set over a level horizon, by a tool's own sun; Whitebox's begin half a degree below it."""
     if sun == "suncalc":
         return float((suncalc(*dem.lon_lat, EVERY_S)[1] >= SUNCALC_LEAST_DEG).mean() * 24.0)
     return float((_path(sun, dem)[1] > 0.0).mean() * 24.0)
 
 
 def _path(sun: str, dem: QuestionDem) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths and altitudes (n,) every ``EVERY_S`` seconds of a day."""
+    """Return azimuths and altitudes (n,) every ``EVERY_S`` seconds of a day."""
     if sun == "suncalc":
         return suncalc(*dem.lon_lat, EVERY_S)
     if sun == "solar day":
@@ -163,7 +165,7 @@ def _raster(path: Path, dem: QuestionDem) -> np.ndarray:
 
 
 def hours_tools(python: str) -> list[HoursTool]:
-    """All tools with their settings; packages are those of the interpreter ``python``."""
+    """Return all tools with their settings; packages are those of the interpreter ``python``."""
     asking = str(ASKING)
 
     def skugga(minutes: int) -> HoursTool:
@@ -200,7 +202,7 @@ def hours_tools(python: str) -> list[HoursTool]:
 
 
 def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
-    """A tool's hours on a level floor and before a cliff, beside its own sun's. Raises ``RuntimeError`` where it fails."""
+    """Compare a tool's hours on a level floor and before a cliff with its own sun's. Raises ``RuntimeError`` if they disagree."""
     floor = np.full(CLIFF_SHAPE, 100.0, np.float32)
     cliff = floor.copy()
     cliff[:, CLIFF_COL:] += CLIFF_M
@@ -215,7 +217,7 @@ def convention_check(tool: HoursTool, folder: Path) -> ConventionCheck:
 
 
 def hours_answers(tools: list[HoursTool], dem: QuestionDem, case: str, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """The answers of tools for a raster; those that fail are added to ``left_out``."""
+    """Return the answers of tools for a raster; it adds those that fail to ``left_out``."""
     truth = HoursTruth(dem, cells)
     for tool in tools:
         try:

@@ -1,4 +1,4 @@
-"""What `sun_questions` measures: answers of tools to three questions of sun, and who is faster and more accurate than whom."""
+"""Results of `sun_questions`: answers of tools to three sun questions, and which tools are faster and more accurate."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from benchmarks.peers.figures import ToolRecord, ToolStanding
 class SunAnswer:
     """A tool's answer to a question in one case.
 
-    Seconds of computing by its own clock, of the whole process, and CPU seconds of the process and its children; ``None`` where
-    that was not measured. ``wrong`` is the mean error and ``wrong_p99`` what 99 % stay under, with the sun, the earth and the
-    north that the tool means; ``wrong_as_is`` the mean error by astronomy's sun on the round earth: minutes, degrees or shares of
-    cells, as the question has it. ``scaled`` says that seconds are those of a part of the work, multiplied.
+    Seconds of computing by its own clock, of the whole process, and CPU seconds of the process and its children; ``None`` if not
+    measured. ``wrong`` is the mean error and ``wrong_p99`` its 99th percentile, with the sun, the earth and the north that the tool
+    uses. ``wrong_as_is`` is the mean error against astronomy's sun on the round earth. The unit is minutes, degrees or shares of
+    cells, by question. ``scaled`` marks seconds that were extrapolated from a part of the work.
     """
 
     question: str
@@ -34,8 +34,9 @@ class SunAnswer:
 
 @dataclass(frozen=True)
 class ConventionCheck:
-    """A tool's hours on a level floor, and the length of the day in its own terms; and before a long cliff the mean of the minutes
-    by which it is wrong, beside the closed form.
+    """A tool's hours on a level floor, and the length of the day by its own sun.
+
+    Before a long cliff it has the mean error in minutes against the closed form.
     """
 
     tool: str
@@ -46,7 +47,7 @@ class ConventionCheck:
 
 @dataclass(frozen=True)
 class QuestionCase:
-    """What a question is asked of: its name, and what there is to know about it, in words."""
+    """The data of a question: its name and a description."""
 
     question: str
     case: str
@@ -55,7 +56,7 @@ class QuestionCase:
 
 @dataclass(frozen=True)
 class SunComparison:
-    """All that was measured. ``versions`` are those of tools; ``left_out`` are names of tools with the reason."""
+    """All results. ``versions`` are those of tools; ``left_out`` are names of tools with the reason."""
 
     where: str
     load: float
@@ -68,12 +69,12 @@ class SunComparison:
 
     @staticmethod
     def read(values: dict[str, Any]) -> SunComparison:
-        """From what JSON holds."""
+        """Build it from JSON values."""
         kinds = {"checks": ConventionCheck, "cases": QuestionCase, "answers": SunAnswer}
         return SunComparison(**{**values, **{key: [kind(**each) for each in values[key]] for key, kind in kinds.items()}})
 
     def of(self, question: str, case: str | None = None) -> list[SunAnswer]:
-        """The answers to a question; in one case, where that is said."""
+        """Return the answers to a question; of one case, if given."""
         return [each for each in self.answers if each.question == question and case in (None, each.case)]
 
 
@@ -82,11 +83,11 @@ ANSWER_CLOCKS: dict[str, Callable[[SunAnswer], float | None]] = {
     "the whole process": lambda answer: answer.whole_s,
     "CPU time of the whole process": lambda answer: answer.cpu_s,
 }
-"""By what seconds tools are compared."""
+"""The clocks by which tools are compared."""
 
 
 def standings(found: SunComparison, question: str, clock: str) -> dict[str, list[ToolStanding]]:
-    """Places of all tools in each case of a question, of those that were timed by a clock and are right or wrong by so much."""
+    """Return the standings of all tools in each case of a question, if they have seconds by a clock and an error."""
     out: dict[str, list[ToolStanding]] = {}
     for answer in found.of(question):
         taken_s = ANSWER_CLOCKS[clock](answer)

@@ -1,4 +1,4 @@
-"""The third question: 31 masks of a day, written as GeoTIFF: one run of Skugga, a run for each mask, and runs of other tools."""
+"""The third question: 31 masks of a day as GeoTIFF: one run of Skugga, a run for each mask, and runs of other tools."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from skugga.terrain.scene import build_scene
 MASKS = "31 masks of a day"
 
 MASK_COUNT, MASK_STEP_MIN, FIRST_FROM_NOON_MIN = 31, 23, -345
-"""Times: so many, so many minutes apart, the first so long before the mean noon of the place."""
+"""Times: their number, minutes apart, and minutes of the first before the mean noon of the place."""
 
 EACH_OF, EACH_OF_SLOW = 3, {"Whitebox Workflows": 5}
 """Of runs for one mask each, one in so many is measured, and seconds are multiplied."""
@@ -35,22 +35,23 @@ EACH_OF, EACH_OF_SLOW = 3, {"Whitebox Workflows": 5}
 PEER_NAMES = ("insolation", "solweig", "Whitebox Workflows", "gdaldem hillshade")
 
 NEAR_DEG = 0.01
-"""A cell is counted where a sun so much lower and higher gives the same answer."""
+"""A cell counts if a sun so much lower and higher gives the same answer."""
 
 MASK_RIM = 3
 
 
 def mask_times(lon_deg: float) -> list[datetime]:
-    """The times of the masks, UTC, on 21 March about the mean noon of a longitude."""
+    """Return the times of the masks, UTC, on 21 March about the mean noon of a longitude."""
     noon = datetime(2024, 3, 21, 12, tzinfo=UTC) - timedelta(minutes=round(4.0 * lon_deg))
     return [noon + timedelta(minutes=FIRST_FROM_NOON_MIN + n * MASK_STEP_MIN) for n in range(MASK_COUNT)]
 
 
 @dataclass(frozen=True, eq=False)
 class MaskTruth:
-    """Of some cells under each of the times: whether the sun is seen, and where that is certain; bool (times, n). ``round_`` is
-    that of astronomy's sun on the round earth, ``flat_`` that of the angles of each time, which other tools are told, in a flat
-    world.
+    """Truth at some cells for each time: whether the sun is visible, and where that is certain; bool (times, n).
+
+    ``round_`` uses astronomy's sun on the round earth. ``flat_`` uses the angles of each time, which other tools get as input, in a
+    flat world.
     """
 
     row: np.ndarray
@@ -64,7 +65,7 @@ class MaskTruth:
 
 
 def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth:
-    """Truth by rays."""
+    """Compute truth by rays."""
     rows, cols = dem.height_m.shape
     rng = np.random.default_rng(1)
     row, col = (rng.integers(MASK_RIM, length - MASK_RIM, cells) for length in (rows, cols))
@@ -100,12 +101,12 @@ def mask_truth(dem: QuestionDem, times: list[datetime], cells: int) -> MaskTruth
 
 
 def wrong_share(lit: np.ndarray, truth: np.ndarray, sure: np.ndarray) -> float:
-    """The share of the certain answers that are wrong."""
+    """Return the share of the certain answers that are wrong."""
     return float((sure & (lit != truth)).sum() / sure.sum())
 
 
 def mask_answers(python: str, dem: QuestionDem, cells: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """The answers of Skugga and of other tools; those that fail are added to ``left_out``."""
+    """Return the answers of Skugga and of other tools; it adds those that fail to ``left_out``."""
     times = mask_times(dem.lon_lat[0])
     truth = mask_truth(dem, times, cells)
     yield from _skugga(dem, times, truth)
@@ -118,7 +119,7 @@ def mask_answers(python: str, dem: QuestionDem, cells: int, left_out: dict[str, 
 
 
 def _skugga(dem: QuestionDem, times: list[datetime], truth: MaskTruth) -> Iterator[SunAnswer]:
-    """One run for all, and a run for each, after one of which nothing is timed: loops are compiled."""
+    """Measure one run for all masks and a run for each; an untimed run compiles the loops first."""
     begin, end = (time.strftime("%Y-%m-%dT%H:%M:%SZ") for time in (times[0], times[-1]))
     names = [dem.path.with_name(f"mask_{time.strftime('%Y%m%dT%H%M%SZ')}.tif") for time in times]
     shade = [*SKUGGA_COMMAND, "shade", str(dem.path), "-o", str(dem.path.with_name("mask_{time}.tif"))]

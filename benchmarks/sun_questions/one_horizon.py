@@ -1,4 +1,4 @@
-"""The second question: the horizon at a point, by several tools beside the exact profile of the ground towards each azimuth."""
+"""The second question: the horizon at a point, by several tools, and the exact profile of the ground towards each azimuth."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from benchmarks.sun_questions.figures import SunAnswer
 HORIZON = "horizon at a point"
 
 ROUND_DEG = 0.5
-"""From direction to direction: 720 of them."""
+"""Degrees between directions: 720 of them."""
 
 TOPOCALC_DEG = 15.0
-"""Directions of the one tool that computes a raster for each: its seconds are multiplied."""
+"""Number of directions of the one tool that computes a raster for each: its seconds are multiplied."""
 
 FAR_M = 20_000.0
-"""How far away the place lies by which an azimuth is told on the grid."""
+"""Distance of the second place for the conversion of an azimuth to the grid."""
 
 WGS84_AXES_M = (6_378_137.0, 6_356_752.314245)
 
 HARDLY = 1e-9
-"""Columns, or shares of a direction, that count as none."""
+"""Columns, or shares of a direction, below this count as zero."""
 
 MARGIN = 0.15
-"""Share of a raster's sides that points keep off its rim."""
+"""Distance of points from the rim, as a share of a raster's sides."""
 
 STREET_CELLS = 15
-"""A street is searched for where ground rises on both sides within so many cells."""
+"""The search for a street requires higher ground on both sides within so many cells."""
 
 
 def exact_horizon(
     height_m: np.ndarray, row: int, col: int, right: float, down: float, step_m: float, radius_m: float = np.inf
 ) -> float:
-    """The horizon of a node, degrees, along a direction (a unit vector of columns and rows), by every crossing with the triangles'
-    edges: rows, columns and both diagonals of quads, of which the one that is no edge does no harm. A column is ``step_m`` metres;
-    ``radius_m`` is that of the earth.
+    """Return the exact horizon of a node, degrees, along a direction (a unit vector of columns and rows).
 
-    At a distance s the point of height h stands at the angle of ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)).
+    It uses every crossing with the triangles' edges: rows, columns and both diagonals of quads; the diagonal that is no edge does
+    no harm. A column is ``step_m`` metres; ``radius_m`` is that of the earth. At a distance s the point of height h stands at the
+    angle of ((R + h) cos(s/R) - (R + h0)) / ((R + h) sin(s/R)).
     """
     rows, cols = height_m.shape
     ahead = [((length - 1 - at) if way > 0 else -at) / way for at, way, length in ((col, right, cols), (row, down, rows)) if way]
@@ -56,13 +56,15 @@ def exact_horizon(
     if np.isinf(radius_m):
         return float(np.degrees(np.arctan(((z_m - z0_m) / distance_m).max())))
     angle = distance_m / radius_m
-    # (R + h) cos a - (R + h0), without the loss of digits of two large numbers
+    # (R + h) cos a - (R + h0), without cancellation of two large numbers
     over = (z_m - z0_m) - (radius_m + z_m) * 2.0 * np.sin(angle / 2.0) ** 2
     return float(np.degrees(np.arctan((over / ((radius_m + z_m) * np.sin(angle))).max())))
 
 
 def surface_at(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Heights (n,) of the triangles between nodes (rows, cols), quads cut along their higher diagonals, at rows and columns."""
+    """Return heights (n,) of the triangles between nodes (rows, cols), quads cut along their higher diagonals, at rows and
+    columns.
+    """
     rows, cols = height_m.shape
     r0, c0 = np.clip(np.floor(row).astype(int), 0, rows - 2), np.clip(np.floor(col).astype(int), 0, cols - 2)
     nw, ne, sw, se = (height_m[r0 + i, c0 + j].astype(np.float64) for i in (0, 1) for j in (0, 1))
@@ -73,7 +75,7 @@ def surface_at(height_m: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.nda
 
 
 def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
-    """The horizon (n,) towards azimuths from true north on the round earth, degrees, to the raster's rim."""
+    """Return the horizon (n,) towards azimuths from true north on the round earth, degrees, to the raster's rim."""
     to_degrees = Transformer.from_crs(dem.crs, "EPSG:4326", always_xy=True)
     x, y = dem.xy(row, col)
     lon, lat = to_degrees.transform(x, y)
@@ -89,14 +91,14 @@ def true_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) 
 
 
 def flat_horizon(dem: QuestionDem, row: int, col: int, azimuth_deg: np.ndarray) -> np.ndarray:
-    """The same towards azimuths from the grid's north in a flat world."""
+    """Return the horizon towards azimuths from the grid's north in a flat world."""
     azimuth = np.radians(azimuth_deg)
     ways = zip(np.sin(azimuth), -np.cos(azimuth), strict=True)
     return np.array([exact_horizon(dem.height_m, row, col, right, down, dem.cell_m) for right, down in ways])
 
 
 def _radius_m(lat_deg: float, azimuth_deg: np.ndarray) -> np.ndarray:
-    """The ellipsoid's radius of curvature towards azimuths (Euler)."""
+    """Return the ellipsoid's radius of curvature towards azimuths (Euler)."""
     a, b = WGS84_AXES_M
     e2, lat, azimuth = 1.0 - (b / a) ** 2, np.radians(lat_deg), np.radians(azimuth_deg)
     w2 = 1.0 - e2 * np.sin(lat) ** 2
@@ -105,8 +107,10 @@ def _radius_m(lat_deg: float, azimuth_deg: np.ndarray) -> np.ndarray:
 
 
 def places_of(dem: QuestionDem) -> dict[str, tuple[int, int]]:
-    """Rows and columns of points by what they are: of mountains the highest, the lowest and the steepest cell, of a city a cell in
-    a street, between walls in the west and the east; off the rim.
+    """Return rows and columns of points by kind, away from the rim.
+
+    Mountains have the highest, the lowest and the steepest cell. A city has a cell in a street, between walls in the west and the
+    east.
     """
     rows, cols = dem.height_m.shape
     top, left = int(rows * MARGIN), int(cols * MARGIN)
@@ -127,9 +131,11 @@ def places_of(dem: QuestionDem) -> dict[str, tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class HorizonTool:
-    """A tool: its command for a raster, a file and a place; how the file is read into azimuths and angles (2, n), degrees; whose
-    truth it means; the share of 720 directions that its command computes; and the command that is its whole process, where the
-    first one only measures computing.
+    """A tool and how it is run.
+
+    It has the command for a raster, a file and a place; the reader of the file into azimuths and angles (2, n), degrees; the truth
+    that it is compared with; the share of 720 directions that its command computes; and, if the first command only measures
+    computing, the command of its whole process.
     """
 
     name: str
@@ -143,7 +149,7 @@ class HorizonTool:
 
 
 def horizon_tools(python: str) -> list[HorizonTool]:
-    """All tools; packages are those of the interpreter ``python``."""
+    """Return all tools; packages are those of the interpreter ``python``."""
     asking = str(ASKING)
 
     def grass(path: Path) -> np.ndarray:
@@ -180,9 +186,9 @@ def horizon_tools(python: str) -> list[HorizonTool]:
 
 
 def horizon_answers(tools: list[HorizonTool], dem: QuestionDem, repeats: int, left_out: dict[str, str]) -> Iterator[SunAnswer]:
-    """The answers of tools for the points of a raster, seconds as medians; those that fail are added to ``left_out``.
+    """Return the answers of tools for the points of a raster, seconds as medians; it adds those that fail to ``left_out``.
 
-    Skugga's commands run once before, so that loops are compiled.
+    Skugga's commands run once before to compile loops.
     """
     for tool in tools:
         if tool.whole is not None:

@@ -1,4 +1,4 @@
-"""Programs that ask one tool a question of sun: what `sun_questions` runs as a process of its own, in any interpreter.
+"""Programs that ask one tool a sun question: `sun_questions` runs them as processes of their own, in any interpreter.
 
     PYTHON programs.py sunhours dem.tif hours.tif DATE MINUTES
     PYTHON programs.py time_in_daylight dem.tif share.tif DAY DEGREES
@@ -7,8 +7,8 @@
     PYTHON programs.py topocalc dem.tif horizon.npy X Y DEGREES
     PYTHON programs.py r.horizon dem.tif horizon.csv X Y DEGREES DISTANCE
 
-A program reads the raster, lets compiled loops be compiled or read, computes and writes; it prints the seconds that computing took.
-``r.sun`` and ``r.horizon`` run inside a GRASS session. Nothing of Skugga is imported but for Skugga's own rows.
+A program reads the raster, compiles its loops or loads them, computes, writes the result, and prints the seconds of computing.
+``r.sun`` and ``r.horizon`` run inside a GRASS session. Only Skugga's own rows import Skugga.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 
 
 def sunhours(path: str, out: str, date: str, minutes: str) -> float:
-    """Skugga's hours of sun as an array, without a file: the second time, when loops are compiled and heights are read."""
+    """Compute Skugga's sun hours as an array, without a file: the second run, with compiled loops and cached heights."""
     import numpy as np
 
     from skugga import open_level
@@ -35,7 +35,7 @@ def sunhours(path: str, out: str, date: str, minutes: str) -> float:
 
 
 def time_in_daylight(path: str, out: str, day: str, degrees: str) -> float:
-    """Whitebox's share of the day's sun."""
+    """Compute Whitebox's share of the day's sun."""
     import numpy as np
     from whitebox_workflows import WbEnvironment
 
@@ -58,7 +58,7 @@ def _dem(path: str) -> None:
 
 
 def r_sun(path: str, out: str, day: str, minutes: str, degrees: str = "") -> float:
-    """Hours of insolation of GRASS, on two threads; by maps of the horizon every so many degrees, or by a walk of its own."""
+    """Compute GRASS's hours of insolation, on two threads; by maps of the horizon every so many degrees, or by its own ray walk."""
     _dem(path)
     options = ["elevation=dem", f"day={day}", f"step={float(minutes) / 60.0:.6f}", "insol_time=hours", "nprocs=2"]
     start = time.perf_counter()
@@ -72,7 +72,7 @@ def r_sun(path: str, out: str, day: str, minutes: str, degrees: str = "") -> flo
 
 
 def point(path: str, out: str, x: str, y: str) -> float:
-    """Skugga's horizon in 720 directions, after that of another place: the level is open, its loops are compiled."""
+    """Compute Skugga's horizon in 720 directions, after that of another place: the level is open, its loops are compiled."""
     import numpy as np
 
     from skugga.api.raster_view import raster_view
@@ -94,7 +94,9 @@ def point(path: str, out: str, x: str, y: str) -> float:
 
 
 def topocalc(path: str, out: str, x: str, y: str, degrees: str) -> float:
-    """Horizons of a whole raster towards azimuths so many degrees apart, of which a cell's are kept: it knows no single points."""
+    """Compute horizons of a whole raster towards azimuths so many degrees apart, and keep those of a cell: it has no single
+    points.
+    """
     import numpy as np
     import rasterio
     from topocalc.horizon import horizon
@@ -111,7 +113,7 @@ def topocalc(path: str, out: str, x: str, y: str, degrees: str) -> float:
 
 
 def r_horizon(path: str, out: str, x: str, y: str, degrees: str, distance: str) -> float:
-    """The horizon of GRASS round a point, sampled at such a share of a cell's side; directions run from east by way of north."""
+    """Compute GRASS's horizon round a point, sampled at a share of a cell's side; directions run from east by way of north."""
     _dem(path)
     start = time.perf_counter()
     _grass("r.horizon", "-d", "--quiet", "--overwrite", "elevation=dem", "direction=0", f"step={degrees}", f"coordinates={x},{y}",

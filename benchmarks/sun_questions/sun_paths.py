@@ -1,4 +1,4 @@
-"""Where other tools take the sun to be through 21 March: their own formulas, so that their shadows alone are judged."""
+"""Sun positions on 21 March by other tools' own formulas, so that only their shadows are judged."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from datetime import UTC, datetime
 import numpy as np
 
 SUNCALC_DAY, SUNCALC_LEAST_DEG = datetime(2020, 3, 21, tzinfo=UTC), -0.5
-"""Whitebox's almanac is that of 2020, which is a leap year; it takes the sun to be up from this altitude on, without refraction."""
+"""Whitebox's almanac uses 2020, a leap year; the sun is up from this altitude on, without refraction."""
 
 SUNCALC_DAY_NUMBER, R_SUN_DAY_NUMBER = 81, 80
-"""What 21 March is called there."""
+"""The number of 21 March in that year."""
 
 DAY_S = 86400.0
 
 
 def suncalc(lon_deg: float, lat_deg: float, every_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths from north and altitudes (n,) without refraction, degrees, through a day whose noon is the place's.
+    """Return azimuths from north and altitudes (n,) without refraction, degrees, through a day centred on local noon.
 
-    The formulas of the library suncalc (after the Astronomy Answers of the University of Utrecht), which
-    Whitebox's `time_in_daylight` uses.
+    The formulas are those of the library suncalc (after the Astronomy Answers of the University of Utrecht), which Whitebox's
+    `time_in_daylight` uses.
     """
     noon_s = SUNCALC_DAY.timestamp() + DAY_S / 2 - lon_deg * DAY_S / 360.0
     days = (noon_s + np.arange(-DAY_S / 2 + every_s / 2, DAY_S / 2, every_s)) / DAY_S + 2440587.5 - 2451545.0
@@ -33,9 +33,9 @@ def suncalc(lon_deg: float, lat_deg: float, every_s: float) -> tuple[np.ndarray,
 
 
 def r_sun_path(lat_deg: float, every_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths from north and altitudes (n,) without refraction, degrees, through a day of true solar time.
+    """Return azimuths from north and altitudes (n,) without refraction, degrees, through a day of true solar time.
 
-    The declination of a day's number is that of GRASS r.sun (Gruter 1984), the same all day.
+    The declination is that of GRASS r.sun (Gruter 1984) for the day's number, constant through the day.
     """
     turn = 2.0 * np.pi * R_SUN_DAY_NUMBER / 365.25
     declination = np.arcsin(0.3978 * np.sin(turn - 1.4 + 0.0355 * np.sin(turn - 0.0489)))
@@ -44,7 +44,7 @@ def r_sun_path(lat_deg: float, every_s: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _angles(hour: np.ndarray, declination: np.ndarray, lat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths and altitudes, degrees, of hour angles (0 at noon), declinations and a latitude, radians."""
+    """Return azimuths and altitudes, degrees, of hour angles (0 at noon), declinations and a latitude, radians."""
     azimuth = np.arctan2(np.sin(hour), np.cos(hour) * np.sin(lat) - np.tan(declination) * np.cos(lat))
     sine = np.sin(lat) * np.sin(declination) + np.cos(lat) * np.cos(declination) * np.cos(hour)
     return (np.degrees(azimuth) + 180.0) % 360.0, np.degrees(np.arcsin(sine))
@@ -53,7 +53,7 @@ def _angles(hour: np.ndarray, declination: np.ndarray, lat: np.ndarray) -> tuple
 def hours_before_cliff(
     azimuth_deg: np.ndarray, altitude_deg: np.ndarray, every_s: float, height_m: float, distance_m: np.ndarray
 ) -> np.ndarray:
-    """Hours of sun (n,) on a level floor, so far to the west of an endless cliff that runs north and south, of so many metres.
+    """Return sun hours (n,) on a level floor, at distances to the west of an endless cliff that runs north and south.
 
     Towards an azimuth A east of the meridian its edge stands at the angle whose tangent is height sin A / distance.
     """

@@ -1,4 +1,4 @@
-"""What `sun_questions` measured, put into words: tables and verdicts. Nothing is measured here, and no figure written down."""
+"""Tables and verdicts from the results of `sun_questions`. It measures nothing and contains no figures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNITS = {HOURS: "minutes", HORIZON: "degrees", MASKS: "% of the cells"}
 
 
 def amount(question: str, value: float | None) -> str:
-    """An error in the question's unit."""
+    """Format an error in the question's unit."""
     if value is None:
         return "-"
     if question == MASKS:
@@ -33,7 +33,7 @@ def _taken(value: float | None, answer: SunAnswer) -> str:
 
 
 def answer_table(found: SunComparison, question: str) -> list[str]:
-    """A line for each tool in each case."""
+    """Format a line for each tool in each case."""
     rows = []
     for answer in found.of(question):
         name = f"**{answer.tool}**" if answer.ours else answer.tool
@@ -50,7 +50,9 @@ def answer_table(found: SunComparison, question: str) -> list[str]:
 
 
 def question_verdict(found: SunComparison, question: str) -> str:
-    """Whether a peer is both faster and more accurate than rows of Skugga's, by each clock; and who is faster, or more accurate."""
+    """Describe by each clock whether a peer is both faster and more accurate than rows of Skugga's, and who is faster or
+    more accurate.
+    """
     peers = {answer.tool for answer in found.of(question) if not answer.ours and answer.wrong is not None}
     if not peers or not any(answer.ours for answer in found.of(question)):
         return "Open: there was nothing to compare with."
@@ -76,13 +78,13 @@ def question_verdict(found: SunComparison, question: str) -> str:
 
 
 def _behind(found: SunComparison, question: str) -> list[str]:
-    """What peers are ahead of every row of Skugga's in one of the two: more accurate, or faster."""
+    """Describe which peers are better than every row of Skugga's in one respect: more accurate, or faster."""
     lines = [_ahead(found, question, "wrong", "the whole process", "more accurate")]
     return lines + [_ahead(found, question, "seconds", clock, f"faster by {clock}") for clock in ANSWER_CLOCKS]
 
 
 def _ahead(found: SunComparison, question: str, merit: str, clock: str, word: str) -> str:
-    """The peers that have less of a merit than Skugga's best row, in how many cases and at most how many times less."""
+    """Describe the peers that are better than Skugga's best row, with the number of cases and the largest factor."""
     places_of = standings(found, question, clock)
     if not places_of:
         return f"- {word[0].upper()}{word[1:]}: not measured."
@@ -100,7 +102,7 @@ def _ahead(found: SunComparison, question: str, merit: str, clock: str, word: st
 
 
 def check_table(found: SunComparison) -> list[str]:
-    """A line for each tool: what it makes of a level floor and of a cliff."""
+    """Format a line for each tool: its results on a level floor and before a cliff."""
     return table([
         {
             "tool": check.tool,
@@ -149,7 +151,7 @@ The sun's path of each is made again for truth. What is left on the level floor 
 
 
 def sun_page(found: SunComparison) -> str:
-    """The page, in Markdown."""
+    """Format the page, in Markdown."""
     versions = ", ".join(f"{name} {number}" for name, number in found.versions.items())
     parts = [
         "# Questions of sun: Skugga beside other tools",

@@ -38,7 +38,7 @@ TIME_LIMIT_S, ROWS_SHARE = 70.0, 0.85
 FINE_SAMPLES = 16
 
 NO_CAST = "no cast shadow in the view: only false shadow can be measured"
-"""A remark on a view."""
+"""Remark on a view without cast shadow."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Size of a shadow map's texels at the points of look-up. Errors are compared with it."""
+"""Size of a shadow map's texels at the points of look-up. Metrics use it to tell failures from aliasing."""
 
 from __future__ import annotations
 

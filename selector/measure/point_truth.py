@@ -31,7 +31,7 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 LATTICE_POINTS = 10_000
-"""Points of a lattice, at least; there are less than four times as many."""
+"""Minimum number of points of a lattice; the maximum is just below four times this."""
 
 
 @dataclass(frozen=True)

@@ -139,11 +139,15 @@ def is_ground_occluded(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray,
 
     This is faster than the horizon, since ground below a ray is skipped.
     """
-    walks = _walk_to_ground(scene, place, np.asarray(azimuth_deg, np.float64), np.array(tangent, np.float64), stops_at_first_occluder=True)
+    walks = _walk_to_ground(
+        scene, place, np.asarray(azimuth_deg, np.float64), np.array(tangent, np.float64), stops_at_first_occluder=True
+    )
     return np.isfinite(walks.distance)
 
 
-def _walk_to_ground(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray, stops_at_first_occluder: bool) -> Walks:
+def _walk_to_ground(
+    scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray, stops_at_first_occluder: bool
+) -> Walks:
     """Return the walks to the highest, or to the first, ground above tangents (n,), which are overwritten."""
     ground = paged_relief(scene)
     lines = sight_lines(ground, place, azimuth_deg, farthest_m(scene, place))

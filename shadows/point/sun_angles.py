@@ -22,7 +22,9 @@ def sun_directions(world: World, utc_s: np.ndarray) -> np.ndarray:
     Raises ``InputError`` off the earth, and for years outside of the sun's ephemeris.
     """
     if world.off_earth_reason is not None:
-        raise InputError("time", Problem(f"a time does not define the sun here, since {world.off_earth_reason}"), "Use azimuth and altitude")
+        raise InputError(
+            "time", Problem(f"a time does not define the sun here, since {world.off_earth_reason}"), "Use azimuth and altitude"
+        )
     return _directions(world, np.asarray(utc_s, np.float64))
 
 

@@ -494,7 +494,8 @@ def _ray_starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, 
 
 
 def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float, float]:
-    """Return how far towards the sun the raster extends from the block's receivers, and how far it must extend to include all casters, metres.
+    """Return how far towards the sun the raster extends from the block's receivers, and how far it must extend to include all
+    casters, metres.
 
     The receiver where the raster ends soonest decides.
     """

@@ -19,7 +19,9 @@ from skugga.terrain.scene import Scene
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed without foliage, if all trees are too small to draw, or if no foliage shadow can be visible."""
+    """Return whether the effect is needed. It is not needed without foliage, if all trees are too small to draw, or if no foliage
+    shadow can be visible.
+    """
     if "forest" not in descriptor.casters:
         return Verdict(False, "there is no foliage")
     if not descriptor.facts.get("alpha_test", {}).get("drawn", True):

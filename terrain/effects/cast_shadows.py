@@ -56,7 +56,9 @@ the normal (-a, -b, 1) of a slope that is as steep as the sun is high.
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed without lights, at night or overcast without lamps, and without possible occluders."""
+    """Return whether the effect is needed. It is not needed without lights, at night or overcast without lamps, and without
+    possible occluders.
+    """
     sun = sun_verdict(descriptor)
     if sun.called_for:
         return sun

@@ -230,7 +230,9 @@ def _shade_clouds(sunlight, shading_inputs, anchor_from_frame, layer, size):
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed under a clear or overcast sky, without a sun, and if clouds block no visible share of light."""
+    """Return whether the effect is needed. It is not needed under a clear or overcast sky, without a sun, and if clouds block no
+    visible share of light.
+    """
     facts = descriptor.facts["clouds"]
     cover = facts["cover"]
     if cover == 0.0:

@@ -64,7 +64,9 @@ _WAVES = np.array(GROUND_WAVES)
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed in maps, on draped imagery, and if all ground is too far away for visible detail."""
+    """Return whether the effect is needed. It is not needed in maps, on draped imagery, and if all ground is too far away for
+    visible detail.
+    """
     facts = descriptor.facts["ground_detail"]
     if descriptor.view_kind == "map":
         return Verdict(False, "a map shows the ground's tints only")

@@ -21,7 +21,9 @@ from skugga.terrain.scene import Scene
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed if no ground outside can cast shadows into the view, or if all ground is inside."""
+    """Return whether the effect is needed. It is not needed if no ground outside can cast shadows into the view, or if all ground
+    is inside.
+    """
     if descriptor.view_kind == "perspective":
         return Verdict(False, "not needed: a perspective view already includes all ground, even behind the camera")
     if not descriptor.facts.get("outside_casters", {}).get("outside", True):

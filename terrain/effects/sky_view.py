@@ -39,7 +39,7 @@ MARGIN_NODES = 4
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed if the hidden part of the sky changes no channel by more than a step."""
+    """Return whether the effect is needed. It is not if the hidden part of the sky changes no channel by more than a step."""
     facts = descriptor.facts["sky_view"]
     if not facts:
         return Verdict(False, "the light of the sky is only known on the Earth")

@@ -77,7 +77,9 @@ from a tested one.
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Return whether the effect is needed. It is not needed without water in view, and if the reflected sky is as dark as the water itself."""
+    """Return whether the effect is needed. It is not needed without water in view, and if the reflected sky is as dark as the water
+    itself.
+    """
     facts = descriptor.facts["water"]
     level_m, change = number(facts["level_m"]), number(facts["change_steps"])
     if level_m is None:

@@ -31,8 +31,8 @@ class BareNodes:
     per_pixel
         Nodes along the side of a displayed pixel, which shows their mean.
     surface
-        The nodes' heights, with ``HALO`` more nodes on each side, as ground that casts: with the rim beyond the raster, which is not
-        valid.
+        The nodes' heights, with ``HALO`` more nodes on each side, as ground that casts: with the rim beyond the raster, which is
+        not valid.
     position_frame_m
         float64 (2, n, 3), points that bound the ground: some of the nodes, at the lowest and at the highest of all heights.
     valid

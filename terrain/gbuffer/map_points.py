@@ -57,9 +57,10 @@ def map_points(position, height, shown, falls, faces, smooth, row, col, pixel_ma
 def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle, reach):
     """Return the height of the smooth ground above ``map_points``, float32 (rows, cols), metres.
 
-    The smooth ground passes through the corners of a point's facet. Single facets are too small to estimate it where the sheet is finer than
-    the raster, with ``reach`` nodes per cell. Then it passes through the points half a cell away along both axes, and the lift is
-    doubled: half a chord bulges a quarter as much. NaN on a node as exact as the raster's own nodes, and beside a crease.
+    The smooth ground passes through the corners of a point's facet. Single facets are too small to estimate it where the sheet is
+    finer than the raster, with ``reach`` nodes per cell. Then it passes through the points half a cell away along both axes, and
+    the lift is doubled: half a chord bulges a quarter as much. NaN on a node as exact as the raster's own nodes, and beside a
+    crease.
     """
     rows, cols = row.size, col.size
     out = np.empty((rows, cols), np.float32)

@@ -118,7 +118,9 @@ class SurfaceWindow(HeightWindow):
 
     @cached_property
     def casting(self) -> SurfaceWindow:
-        """The ground that casts: this window with its rim. Visible quads keep their cuts, so that no triangle shades its own points."""
+        """The ground that casts: this window with its rim. Visible quads keep their cuts, so that no triangle shades its own
+        points.
+        """
         if self.rim is None:
             return self
         height, position = self.height_m.copy(), self.position_frame_m.copy()

@@ -228,7 +228,9 @@ class Level(Model):
         if not wrong:
             for number, earlier in covered_pins(pins, views, self.sun == "none"):
                 before = " and ".join(f"shadows.pins.{each} ({pins[each].where})" for each in earlier)
-                problem = PydanticCustomError("pin", "a view or sun altitudes that earlier pins do not cover: {before}", {"before": before})
+                problem = PydanticCustomError(
+                    "pin", "a view or sun altitudes that earlier pins do not cover: {before}", {"before": before}
+                )
                 wrong.append(InitErrorDetails(type=problem, loc=("shadows", "pins", number), input=pins[number].where))
         if wrong:
             raise ValidationError.from_exception_data("Level", wrong)

@@ -25,8 +25,8 @@ from skugga.terrain.level.level import LoadedLevel
 from skugga.terrain.level.parts import ForestSpec, Species
 from skugga.terrain.level.rasters import is_raster
 from skugga.terrain.trees.canopy import (
-    MAX_DETECTION_CELL_M,
     MAX_CROWN_RATIO,
+    MAX_DETECTION_CELL_M,
     PACKING,
     TREETOP_WINDOW_M,
     Canopy,

@@ -1,4 +1,4 @@
-"""A service over small levels, with one real render process for all tests of a run, and services with fake ones."""
+"""A service over small levels, with one real render process for all tests of a run, and services with fake processes."""
 
 from __future__ import annotations
 
@@ -39,13 +39,15 @@ SUN = {"azimuth": 250, "altitude": 18}
 
 
 def hills() -> np.ndarray:
-    """Ridges of some 700 m, (400, 400) float32."""
+    """Return ridges of some 700 m, (400, 400) float32."""
     row, col = np.mgrid[:CELLS, :CELLS].astype(np.float32)
     return 900 + 350 * np.sin(col / 14) * np.cos(row / 23) + 4 * np.sin(col * row / 97)
 
 
 def write_level(folder: Path, name: str, crs: str = "EPSG:3857", **keys) -> Path:
-    """A level file over hills whose middle is the corner of four blocks (in an engineering CRS: somewhere)."""
+    """Write a level file over hills whose centre is the corner of four blocks (in an engineering CRS: at an arbitrary
+    place).
+    """
     corner = matrix_sets.get("WebMercatorQuad").xy_bounds(*CORNER, ZOOM)
     half = CELLS * CELL_M / 2
     raster = folder / f"{name}.tif"
@@ -71,7 +73,10 @@ def write_tiles(
     bounds: tuple[float, float, float, float] = (8.3, 47.4, 8.6, 47.6),
     **said: str,
 ) -> Path:
-    """An archive of tiles by zoom, column and row; ``said`` is what its metadata say of them, besides what is usual."""
+    """Write an archive of tiles by zoom, column and row.
+
+    ``said`` adds to the usual metadata, or replaces it.
+    """
     index, shard = ShardIndex.of({zxy_to_tileid(*zxy): tile for zxy, tile in tiles.items()})
     skugga = {"layer": "color", "format": format, "tms": "WebMercatorQuad", "query": "", "level": "hills"} | said
     zooms = [zoom for zoom, _, _ in tiles]
@@ -83,18 +88,18 @@ def write_tiles(
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the levels are."""
+    """Return the folder of the levels."""
     return tmp_path_factory.mktemp("levels")
 
 
 @pytest.fixture(scope="session")
 def hills_level(folder: Path) -> Path:
-    """The level most tests look at."""
+    """Write the level of most tests."""
     return write_level(folder, "hills")
 
 
 class Client(httpx.Client):
-    """An HTTP client of a service, which is at hand too, with its server."""
+    """HTTP client of a service, with the service and its server as attributes."""
 
     service: Service
     server: Server
@@ -102,7 +107,7 @@ class Client(httpx.Client):
 
 @contextmanager
 def running(app: FastAPI) -> Iterator[Client]:
-    """A real server of an application on a free port, and a client of it."""
+    """Run a real server of an application on a free port, and yield a client of it."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = listening.getsockname()[1]
         log = log_config(app.state.service.settings)
@@ -111,8 +116,8 @@ def running(app: FastAPI) -> Iterator[Client]:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
-            # The socket listens already, so that a request waits until the server takes it. Tests that patch the service
-            # find one whose start is over: a start that fails would leave its render processes running.
+            # The socket listens already, so a request waits until the server accepts it. Tests that patch the service
+            # get it after its start: a start that fails would leave its render processes running.
             with Client(base_url=f"http://127.0.0.1:{port}", timeout=120) as client:
                 client.service, client.server = app.state.service, server
                 client.get("/healthz")
@@ -124,8 +129,10 @@ def running(app: FastAPI) -> Iterator[Client]:
 
 @pytest.fixture(scope="session")
 def client(folder: Path, hills_level: Path) -> Iterator[Client]:
-    """A service with one real render process: ``hills``, ``timed`` (its sun by a time) and ``site`` (a flat world);
-    and an archive, ``shadows``, of one tile.
+    """Run a service with one real render process over three levels and an archive of one tile.
+
+    The levels are ``hills``, ``timed`` (its sun by a time) and ``site`` (in an engineering CRS). The archive is
+    ``shadows``.
     """
     timed = write_level(folder, "timed", sun={"time": "2024-06-21T18:00:00+02:00"})
     site = write_level(folder, "site", ENGINEERING)
@@ -136,7 +143,9 @@ def client(folder: Path, hills_level: Path) -> Iterator[Client]:
 
 @pytest.fixture
 def serve_with(hills_level: Path) -> Iterator[Callable[..., Client]]:
-    """``serve_with(target, **settings)`` is a client of a service whose one render process runs ``target``."""
+    """Return ``serve_with(target, **settings)``: it starts a service whose one render process runs ``target``, and returns
+    a client.
+    """
     with ExitStack() as stack:
 
         def make(target: WorkerTarget, **settings) -> Client:

@@ -1,4 +1,4 @@
-"""A tower on a plain in any CRS, and whether its shadow falls as geodesics say."""
+"""A tower on a plain in any CRS, and the deviation of its shadow from geodesics."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ PLACES = CRS.from_user_input("OGC:CRS84")
 
 
 def shadow_length_m(radius_m: float) -> float:
-    """Return how far along a sphere the tower's shadow reaches: on a small body the ground falls away under it."""
+    """Return the length of the tower's shadow along a sphere. On a small body the curved ground drops away under the
+    shadow.
+    """
     sine, top_m = np.sin(np.radians(ALTITUDE_DEG)), radius_m + HEIGHT_M
     way_m = top_m * sine - np.sqrt((top_m * sine) ** 2 - (top_m + radius_m) * HEIGHT_M)
     return float(radius_m * np.arcsin(way_m * np.cos(np.radians(ALTITUDE_DEG)) / radius_m))
@@ -36,8 +38,17 @@ def shadow_length_m(radius_m: float) -> float:
 
 @dataclass(frozen=True)
 class Fall:
-    """How a shadow falls: by how much its bearing and its length are off, degrees and metres, and how many cells of the rim are
-    not lit."""
+    """Deviation of a shadow from its expected place.
+
+    Attributes
+    ----------
+    bearing_off_deg
+        Deviation of the bearing in degrees.
+    length_off_m
+        Deviation of the length in metres.
+    dark_rim
+        Number of cells of the raster's rim that are not lit.
+    """
 
     bearing_off_deg: float
     length_off_m: float
@@ -45,15 +56,16 @@ class Fall:
 
 
 def plain_with_tower() -> np.ndarray:
-    """Heights (101, 101) of a plain with a tower of 5 x 5 cells in its middle."""
+    """Return heights (101, 101) of a plain with a tower of 5 x 5 cells in its centre."""
     heights = np.zeros((SIDE, SIDE), np.float32)
     heights[SIDE // 2 - HALF : SIDE // 2 + HALF + 1, SIDE // 2 - HALF : SIDE // 2 + HALF + 1] = HEIGHT_M
     return heights
 
 
 def write_plain(path: Path, crs: CRS, lon: float, lat: float, places: CRS = PLACES, geod: Geod = WGS84) -> None:
-    """Write the plain round a place as a VRT, in GDAL's order and directions of a CRS's axes, cells of about ``CELL_M``: a GeoTIFF
-    does not keep all axes.
+    """Write the plain around a place as a VRT, with cells of about ``CELL_M``.
+
+    The axes have GDAL's order and directions of the CRS. A GeoTIFF does not keep all of these axes.
     """
     to_crs = Transformer.from_crs(places, crs, always_xy=True)
     x, y = to_crs.transform(lon, lat)
@@ -78,7 +90,7 @@ def write_plain(path: Path, crs: CRS, lon: float, lat: float, places: CRS = PLAC
 
 
 def mask_of(source: Path, output: Path, azimuth: float, altitude: float = ALTITUDE_DEG) -> np.ndarray:
-    """The mask on a raster's own cells."""
+    """Return the mask on a raster's own cells."""
     scene = build_scene(load_level(source))
     try:
         write_shade(scene, raster_view(scene), "mask", [SunSpec(azimuth=azimuth, altitude=altitude)], [output])
@@ -91,7 +103,7 @@ def mask_of(source: Path, output: Path, azimuth: float, altitude: float = ALTITU
 
 
 def fall_of(mask: np.ndarray, source: Path, crs: CRS, azimuth: float, places: CRS = PLACES, geod: Geod = WGS84) -> Fall:
-    """How the tower's shadow falls in a mask of the cells of a raster in a CRS, in GDAL's order of axes."""
+    """Return the deviation of the tower's shadow in a mask of the cells of a raster, in GDAL's order of the axes of a CRS."""
     with rasterio.open(source) as dataset:
         transform = dataset.transform
     row, col = np.mgrid[:SIDE, :SIDE]

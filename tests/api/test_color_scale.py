@@ -1,4 +1,4 @@
-"""Colours of numbers: those of tiles are those of the legend, whatever colour map."""
+"""Colour scales: tiles and legend have the same colours, with any colour map."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from skugga.api.color_scale import ColorScale
 
 @pytest.mark.parametrize("colormap", ["inferno", "viridis", "twilight", "twilight_r", "Set1"])
 def test_tiles_and_legend_have_the_same_colours(colormap):
-    """Also of colour maps that do not have 256 colours."""
+    """Some of the colour maps do not have 256 colours."""
     scale = ColorScale("A scale", colormap, 0.0, 360.0, ((0.0, "0"), (180.0, "180"), (360.0, "360")))
     legend = np.asarray(Image.open(io.BytesIO(scale.legend("png"))).convert("RGB")).astype(int)
     bar = legend[int(legend.shape[0] * 0.52)]  # a row through the middle of the bar

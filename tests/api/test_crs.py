@@ -1,4 +1,4 @@
-"""Rasters in any CRS: their shadows fall where geodesics say, on the raster's own cells, or one error says why there are none."""
+"""Rasters in any CRS: their shadows follow geodesics, on the raster's own cells, or one error gives the reason for refusal."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.products import shade_array, sun_hours_of, write_shade
 from tests.rasters import write_geotiff
 
 BEARING_DEG, LENGTH_M = 2.0, 15.0
-"""How far a shadow may be off: cells are 10 m wide, a tower 50 m."""
+"""Tolerance of a shadow's bearing and length. Cells are 10 m wide, the tower 50 m."""
 
 DAY = date(2024, 10, 21)
 
@@ -70,7 +70,7 @@ def opened(raster: Path) -> Scene:
 
 
 def faults_of(folder: Path, crs: CRS, lon: float, lat: float, azimuths: tuple[float, ...] = AZIMUTHS_DEG) -> list[str]:
-    """What is wrong about the shadows of a tower at a place of a CRS's own celestial body."""
+    """Return the faults of a tower's shadows at a place of a CRS's own celestial body."""
     places, geod = longitude_latitude_of(crs), ellipsoid_of(crs)
     source = folder / "tower.vrt"
     write_plain(source, crs, lon, lat, places, geod)
@@ -85,7 +85,7 @@ def faults_of(folder: Path, crs: CRS, lon: float, lat: float, azimuths: tuple[fl
 
 
 @pytest.mark.parametrize(("code", "lon", "lat"), SAMPLES)
-def test_shadows_fall_as_geodesics_say(tmp_path, code, lon, lat):
+def test_shadows_follow_geodesics(tmp_path, code, lon, lat):
     assert not faults_of(tmp_path, CRS.from_user_input(code), lon, lat, AZIMUTHS_DEG[::2])
 
 
@@ -93,13 +93,13 @@ TESTED = (PJType.PROJECTED_CRS, PJType.GEOGRAPHIC_2D_CRS, PJType.DERIVED_PROJECT
 
 
 def all_crs(kinds: tuple[PJType, ...]) -> list[tuple[str, tuple[float, float, float, float] | None]]:
-    """Codes of PROJ's database, and where they are used."""
+    """Return codes of PROJ's database with their areas of use."""
     infos = query_crs_info(pj_types=list(kinds), allow_deprecated=True)
     return [(f"{info.auth_name}:{info.code}", info.area_of_use and tuple(info.area_of_use)[:4]) for info in infos]  # type: ignore[misc]
 
 
 def middle_of(area: tuple[float, float, float, float] | None) -> tuple[float, float]:
-    """A place in an area of use; of a whole globe one off its poles and its axes."""
+    """Return a place in an area of use. In the area of a whole globe it avoids poles and axes."""
     if area is None or area[2] - area[0] > 300.0:
         south, north = (-80.0, 80.0) if area is None else (area[1], area[3])
         return 12.0, float(np.clip(20.0, south + 1.0, north - 1.0))
@@ -109,7 +109,10 @@ def middle_of(area: tuple[float, float, float, float] | None) -> tuple[float, fl
 
 
 def place_in(crs: CRS, area: tuple[float, float, float, float] | None) -> tuple[float, float]:
-    """A place of a CRS: the middle of its area of use, or 50 km off its origin where that is off its map. Raises ``ProjError``."""
+    """Return a place of a CRS: the centre of its area of use, or 50 km off its origin if the centre is off its map.
+
+    Raises ``ProjError``.
+    """
     places, place = longitude_latitude_of(crs), middle_of(area)
     if np.isfinite(Transformer.from_crs(places, crs, always_xy=True).transform(*place)).all():
         return place
@@ -120,12 +123,12 @@ def place_in(crs: CRS, area: tuple[float, float, float, float] | None) -> tuple[
 
 
 EVERY = 80
-"""Of PROJ's CRSs, one of so many is tried; each takes most of a second, all of them some hours."""
+"""The test takes one of this many of PROJ's CRSs. Each needs most of a second, all of them some hours."""
 
 
-@pytest.mark.soak  # by hand: it takes minutes
-def test_no_crs_of_proj_is_wrong_in_silence(tmp_path):
-    """A CRS is served right, or refused with one error that names it."""
+@pytest.mark.soak  # run by hand: takes minutes
+def test_every_crs_of_proj_is_correct_or_refused(tmp_path):
+    """Shadows in a CRS are correct, or one error names the CRS."""
     wrong, served = [], 0
     for number, (code, area) in enumerate(all_crs(TESTED)[::EVERY]):
         folder = tmp_path / str(number)
@@ -136,13 +139,13 @@ def test_no_crs_of_proj_is_wrong_in_silence(tmp_path):
         try:
             wrong += [f"{code}: {fault}" for fault in faults_of(folder, crs, *place_in(crs, area))]
             served += 1
-        except (ProjError, CRSError):  # PROJ cannot place it itself
+        except (ProjError, CRSError):  # PROJ itself cannot transform it
             where = (10.0, 20.0, 1e-4) if crs.is_geographic else (3e5, 4e5, 10.0)
             with pytest.raises(SourceError, match=r"(PROJ cannot transform its CRS|Give a raster in a projected)"):
                 opened(write_geotiff(folder / "plain.tif", plain_with_tower(), crs.to_wkt(), *where)).close()
         except (InputError, SourceError) as error:
             assert str(error).count("\n") == 0
-            # On small bodies, and at kinks of a projection, rays do bend across a plain of a kilometre. On the earth they must not.
+            # On small bodies, and at kinks of a projection, rays bend across a plain of a kilometre. On the earth they must not.
             refuses_earth = isinstance(error, UnsupportedError) and is_on_earth(crs)
             if refuses_earth or crs.name not in str(error):
                 wrong.append(f"{code}: {error}")
@@ -167,7 +170,7 @@ def test_a_body_that_cannot_be_shaded_is_refused_by_its_crs(tmp_path, code, said
 
 
 def test_a_crs_without_a_transformation_is_refused(tmp_path):
-    """Lambert Conic Conformal (West Orientated), which PROJ does not have."""
+    """PROJ does not implement Lambert Conic Conformal (West Orientated)."""
     raster = write_geotiff(tmp_path / "iceland.tif", plain_with_tower(), "EPSG:32627", 4e5, 7.1e6, 10.0)
     with pytest.raises(ProjError):
         Transformer.from_crs("EPSG:3052", "OGC:CRS84", always_xy=True)
@@ -179,15 +182,15 @@ def test_a_crs_without_a_transformation_is_refused(tmp_path):
         opened(other)
 
 
-def test_a_crs_whose_prime_meridian_proj_forgets_is_refused(tmp_path):
-    """ATIG of France: from its grads of Paris into WGS 84, and not the other way round."""
+def test_a_crs_with_a_one_way_transformation_is_refused(tmp_path):
+    """PROJ transforms ATIG of France (grads of Paris) into WGS 84, but loses its prime meridian in the other direction."""
     write_plain(tmp_path / "tower.vrt", CRS.from_user_input("IGNF:ATIGG"), 2.25, 46.5)
     with pytest.raises(SourceError, match="PROJ cannot transform its CRS '.*ATIG .*' into longitude and latitude and back. Use"):
         opened(tmp_path / "tower.vrt")
 
 
 @pytest.mark.parametrize("code", ["EPSG:5513", "EPSG:4807"])
-def test_maps_in_axes_of_their_own_are_refused(tmp_path, code):
+def test_maps_in_a_crs_with_other_axes_are_refused(tmp_path, code):
     scene = opened(write_geotiff(tmp_path / "dem.tif", plain_with_tower(), "EPSG:32632", 5e5, 5.3e6, 10.0))
     with pytest.raises(InputError, match=r"the axes of .* run .*\. Use a CRS whose axes run east and north"):
         scene.view("map", crs=code)
@@ -195,7 +198,7 @@ def test_maps_in_axes_of_their_own_are_refused(tmp_path, code):
 
 @pytest.mark.parametrize(("code", "lon", "lat"), [("EPSG:4807", 2.0, 46.0), ("EPSG:5513", 15.0, 49.8), (ROTATED, 10.0, 50.0)])
 def test_other_maps_show_the_same_shadow(tmp_path, code, lon, lat):
-    """In longitude and latitude, where cells of them are as many in shadow."""
+    """A map in longitude and latitude has the same area in shadow."""
     write_plain(tmp_path / "tower.vrt", CRS.from_user_input(code), lon, lat)
     scene = opened(tmp_path / "tower.vrt")
     own, sun = mask_of(tmp_path / "tower.vrt", tmp_path / "own.tif", 110.0), SunSpec(azimuth=110.0, altitude=15.0)
@@ -208,8 +211,8 @@ def test_other_maps_show_the_same_shadow(tmp_path, code, lon, lat):
     assert scene.world.anchor_lat_deg == pytest.approx(lat, abs=1e-3)
 
 
-def test_sunrise_at_a_point_is_that_of_the_twin(tmp_path):
-    """Of one place in Paris's grads and in Greenwich's degrees."""
+def test_sunrise_is_equal_in_paris_and_greenwich_longitudes(tmp_path):
+    """The same place is given in grads of Paris and in degrees of Greenwich."""
     for name, code in (("paris", "EPSG:4807"), ("twin", "EPSG:4326")):
         write_plain(tmp_path / f"{name}.vrt", CRS.from_user_input(code), 2.0, 46.0)
     days = []
@@ -222,8 +225,8 @@ def test_sunrise_at_a_point_is_that_of_the_twin(tmp_path):
     assert days[0].direct_h == pytest.approx(days[1].direct_h, abs=0.01)
 
 
-def test_a_point_is_named_in_the_crs_s_own_coordinates(tmp_path):
-    """In Krovak's southing and westing, the first of which GDAL has first."""
+def test_a_point_uses_the_crs_s_own_axis_order(tmp_path):
+    """Krovak has southing and westing. GDAL puts the southing first."""
     crs = CRS.from_user_input("EPSG:5513")
     write_plain(tmp_path / "tower.vrt", crs, 15.0, 49.8)
     x, y = Transformer.from_crs("OGC:CRS84", crs, always_xy=True).transform(15.0, 49.8)
@@ -237,7 +240,7 @@ def test_a_point_is_named_in_the_crs_s_own_coordinates(tmp_path):
 
 
 @pytest.mark.parametrize("code", ["IAU_2015:30100", "IAU_2015:30110", "ESRI:104905"])
-def test_another_body_has_no_sun_of_a_time(tmp_path, code):
+def test_another_body_has_no_sun_at_a_time(tmp_path, code):
     crs = CRS.from_user_input(code)
     write_plain(tmp_path / "moon.vrt", crs, 10.0, 20.0, longitude_latitude_of(crs), ellipsoid_of(crs))
     scene = opened(tmp_path / "moon.vrt")
@@ -250,8 +253,8 @@ def test_another_body_has_no_sun_of_a_time(tmp_path, code):
             scene.view("map", crs=other)
 
 
-def test_ground_bends_as_the_moon_does(tmp_path):
-    """From 100 m above level ground the horizon dips by the angle of the Moon's radius, and not of the earth's."""
+def test_ground_curves_with_the_moon_s_radius(tmp_path):
+    """From 100 m above level ground the horizon dips by the angle of the Moon's radius, not of the earth's."""
     crs = CRS.from_user_input("IAU_2015:30110")
     heights = np.zeros((201, 201), np.float32)
     raster = write_geotiff(tmp_path / "moon.tif", heights, crs.to_wkt(), 0.0, 201 * 500.0, 500.0)
@@ -263,7 +266,7 @@ def test_ground_bends_as_the_moon_does(tmp_path):
     assert np.median(dip) == pytest.approx(np.degrees(np.arccos(radius_m / (radius_m + 100.0))), rel=0.05)
 
 
-def test_mountains_of_mars_are_no_holes(tmp_path):
+def test_mountains_of_mars_are_valid_heights(tmp_path):
     """Olympus Mons is higher than any ground of the earth."""
     heights = np.full((20, 20), 21_229.0, np.float32)
     heights[0, 0] = -32768.0  # a sentinel that the file does not declare
@@ -284,7 +287,7 @@ FLIPS = {
 
 
 def rough() -> np.ndarray:
-    """Heights (101, 90) that no flip leaves alone."""
+    """Return heights (101, 90) without any symmetry under flips."""
     row, col = np.mgrid[:101, :90].astype(np.float32)
     heights = (45.0 * np.sin(row / 9.0) * np.cos(col / 6.0 + row / 20.0)).astype(np.float32)
     heights[20:31, 55:66] += 60.0
@@ -293,7 +296,7 @@ def rough() -> np.ndarray:
 
 @pytest.fixture(params=FLIPS)
 def flipped(request, tmp_path) -> tuple[Path, Path, object]:
-    """A raster, its upright twin, and what turns the twin's cells into the raster's."""
+    """Return a raster, its upright twin, and the function that turns the twin's cells into the raster's."""
     heights = rough()
     upright = write_geotiff(tmp_path / "upright.tif", heights, "EPSG:32632", 5e5, 5.3e6 + 1010.0, 10.0)
     cells, transform = FLIPS[request.param](heights)
@@ -309,7 +312,7 @@ def test_masks_lie_on_turned_cells(tmp_path, flipped):
     assert not (masks[turned] == MASK_NO_SURFACE).any()
 
 
-def test_like_takes_turned_cells(tmp_path, flipped):
+def test_like_accepts_turned_cells(tmp_path, flipped):
     turned, upright, flip = flipped
     scene, sun = opened(upright), SunSpec(azimuth=200.0, altitude=15.0)
     write_shade(scene, raster_view(scene, like=turned), "mask", [sun], [tmp_path / "like.tif"])
@@ -332,7 +335,7 @@ def test_sun_hours_lie_on_turned_cells(tmp_path, flipped):
     np.testing.assert_allclose(found[turned], flip(found[upright]), atol=0.02)
 
 
-def test_the_library_answers_on_turned_cells(tmp_path, flipped):
+def test_the_library_returns_turned_cells(tmp_path, flipped):
     turned, upright, flip = flipped
     answers = {}
     for path in (turned, upright):
@@ -343,7 +346,7 @@ def test_the_library_answers_on_turned_cells(tmp_path, flipped):
         np.testing.assert_allclose(one, flip(other), atol=0.02)
 
 
-def test_a_part_of_turned_cells_is_cut_from_the_whole(tmp_path, flipped):
+def test_a_part_of_turned_cells_equals_the_whole(tmp_path, flipped):
     turned, _, _ = flipped
     scene, sun = opened(turned), SunSpec(azimuth=200.0, altitude=15.0)
     whole = mask_of(turned, tmp_path / "mask.tif", 200.0)
@@ -360,7 +363,7 @@ def test_a_part_of_turned_cells_is_cut_from_the_whole(tmp_path, flipped):
 
 
 @pytest.mark.parametrize("cell", [(10.0, 10.0003), (10.0, 13.4), (13.4, 10.0), (11.7, 10.0)])
-def test_cells_that_are_not_square_are_all_there(tmp_path, cell):
+def test_cells_that_are_not_square_are_all_valid(tmp_path, cell):
     raster = write_geotiff(tmp_path / "oblong.tif", np.zeros((SIDE, SIDE), np.float32), "EPSG:32632", 5e5, 5.3e6, cell)
     assert not (mask_of(raster, tmp_path / "mask.tif", 200.0) == MASK_NO_SURFACE).any()
 
@@ -371,12 +374,12 @@ def test_cells_that_are_not_square_have_their_own_heights(tmp_path, cell):
     raster = write_geotiff(tmp_path / "oblong.tif", heights, "EPSG:32632", 5e5 - cell[0] * SIDE / 2, 5.3e6, cell)
     mask = mask_of(raster, tmp_path / "mask.tif", 247.0, 25.0)
     alone = skugga.shadow(heights, cell[::-1], 247.0, 25.0, lines=64)
-    inside = np.s_[2:-2, 2:-2]  # what lies beyond the rim is another thing to either
+    inside = np.s_[2:-2, 2:-2]  # the two differ in their treatment of the rim
     assert ((mask == MASK_SHADOW) != alone)[inside].mean() < 0.002
 
 
 @pytest.mark.parametrize("algorithm", ["auto", "shadow_map", "shadow_volume", "truth"])
-def test_buildings_stand_where_they_are_on_oblong_cells(gl, tmp_path, algorithm):
+def test_buildings_keep_their_place_on_oblong_cells(gl, tmp_path, algorithm):
     x0, y0, cell = 5e5, 5.3e6, (5.0, 10.0)
     ground = write_geotiff(tmp_path / "oblong.tif", np.zeros((60, 120), np.float32), "EPSG:32632", x0, y0, cell)
     footprint = [[x0 + x, y0 - y] for x, y in ((200, 300), (240, 300), (240, 340), (200, 340), (200, 300))]

@@ -12,7 +12,7 @@ from skugga.terrain.errors import SkuggaError
 
 
 def every_error() -> list[type[SkuggaError]]:
-    """Every class of error that any module defines."""
+    """Return every error class that any module defines."""
     for package in (terrain, shadows, selector, api):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)
@@ -36,7 +36,7 @@ def test_the_table_has_every_error_and_no_other():
     assert set(OUTCOMES) == set(kinds)
 
 
-def test_statuses_agree_with_who_is_to_blame():
+def test_http_statuses_agree_with_exit_statuses():
     for kind, outcome in OUTCOMES.items():
         assert 400 <= outcome.status < 600
         assert outcome.exit_status in (FAILED, WRONG_INPUT)
@@ -45,8 +45,9 @@ def test_statuses_agree_with_who_is_to_blame():
     assert DONE == 0
 
 
-def test_codes_tell_errors_apart():
-    codes = [outcome.code for kind, outcome in OUTCOMES.items() if kind not in (NotServedError, RetryLaterError)]  # as their bases
+def test_error_codes_are_unique():
+    # Both of these errors share the codes of their bases.
+    codes = [outcome.code for kind, outcome in OUTCOMES.items() if kind not in (NotServedError, RetryLaterError)]
     assert len(set(codes)) == len(codes)
 
 
@@ -64,7 +65,7 @@ def test_codes_tell_errors_apart():
         (errors.GraphicsError, 503, 1),
     ],
 )
-def test_contract(kind: type[SkuggaError], status: int, leaves: int):
+def test_errors_have_their_documented_statuses(kind: type[SkuggaError], status: int, leaves: int):
     error = make(kind)
     assert outcome_of(error).status == status
     assert exit_status(error) == leaves

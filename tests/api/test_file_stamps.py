@@ -1,4 +1,4 @@
-"""Versions of levels: they change with what is in their files."""
+"""Versions of levels: they change with the content of the level's files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def ground(path: Path, height_m: float) -> Path:
     return write_geotiff(path, np.full((8, 9), height_m, np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
 
 
-def test_a_raster_that_is_a_level_by_itself_has_a_version_by_its_cells(tmp_path: Path):
+def test_the_version_of_a_raster_depends_on_its_cells(tmp_path: Path):
     raster = ground(tmp_path / "dem.tif", 100.0)
     before = version(raster)
     assert version(raster) == before
@@ -29,7 +29,7 @@ def test_a_raster_that_is_a_level_by_itself_has_a_version_by_its_cells(tmp_path:
     assert version(raster) != before
 
 
-def test_a_level_has_a_version_by_its_text_and_by_its_raster(tmp_path: Path):
+def test_the_version_of_a_level_depends_on_text_and_raster(tmp_path: Path):
     ground(tmp_path / "dem.tif", 100.0)
     level = tmp_path / "level.yaml"
     level.write_text("version: 1\nterrain: {source: dem.tif}\n", encoding="utf-8")

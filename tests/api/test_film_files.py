@@ -1,4 +1,4 @@
-"""Films as files: what they hold, how much of it is in memory, and what is left where one ends too early."""
+"""Film files: their content, the memory they take, and the files left by a film that ends early."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FILMS = "film.webp", "film.mp4", "frames/%03d.png"
 
 
 def pictures(count: int, rows: int = 30, cols: int = 44) -> list[np.ndarray]:
-    """Smooth ground, a shadow that wanders over it, and noise of one step; every third picture is the one before it."""
+    """Return smooth ground with a moving shadow and noise of one step. Every third picture repeats the previous one."""
     rng, out = np.random.default_rng(7), []
     ground = np.linspace(40, 220, cols)[None, :, None] * np.array([0.8, 1.0, 0.6]) * np.linspace(0.7, 1.0, rows)[:, None, None]
     for number in range(count):
@@ -36,7 +36,7 @@ def pictures(count: int, rows: int = 30, cols: int = 44) -> list[np.ndarray]:
 
 
 def frames_of_webp(path: Path) -> Iterator[np.ndarray]:
-    """The pictures of an animated WebP: the encoder joins those that are alike into one that lasts longer."""
+    """Yield the pictures of an animated WebP. The encoder merges equal pictures into one of longer duration."""
     with Image.open(path) as film:
         for number in range(film.n_frames):
             film.seek(number)
@@ -50,7 +50,7 @@ def left(folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(30, 44), (31, 45)])
-def test_webp_loses_nothing_where_asked(tmp_path, rows, cols):
+def test_lossless_webp_keeps_every_pixel(tmp_path, rows, cols):
     made = pictures(9, rows, cols)
     write_film(tmp_path / "film.webp", iter(made), 9, FPS, lossless=True)
     found = list(frames_of_webp(tmp_path / "film.webp"))
@@ -60,8 +60,8 @@ def test_webp_loses_nothing_where_asked(tmp_path, rows, cols):
     assert left(tmp_path) == ["film.webp"]
 
 
-def test_webp_is_small_and_alike_where_not_asked(tmp_path):
-    """A picture of shaded ground: a third of the size or less, and hardly another picture."""
+def test_lossy_webp_is_small_and_similar(tmp_path):
+    """A picture of shaded ground takes at most a third of the lossless size, and differs little."""
     rng = np.random.default_rng(3)
     rough = np.cumsum(np.cumsum(rng.normal(size=(120, 160)), axis=0), axis=1)
     shade = np.clip(128.0 + 40.0 * np.gradient(rough, axis=1) / np.gradient(rough, axis=1).std(), 0, 255)
@@ -74,8 +74,8 @@ def test_webp_is_small_and_alike_where_not_asked(tmp_path):
         assert np.abs(one.astype(int) - other).mean() < 6.0
 
 
-def test_only_what_changes_is_in_a_frame_of_webp():
-    """Its rectangle, from an even row and column on; frames that are alike are one that lasts longer."""
+def test_a_webp_frame_holds_only_the_changed_rectangle():
+    """The rectangle begins at an even row and column. Equal frames become one of longer duration."""
     first = np.zeros((20, 30, 3), np.uint8)
     other = first.copy()
     other[7:9, 11:16] = 200
@@ -85,7 +85,7 @@ def test_only_what_changes_is_in_a_frame_of_webp():
     assert (found[1].color == other[6:9, 10:16]).all()
 
 
-def test_a_film_tells_how_large_it_has_become(tmp_path):
+def test_a_film_reports_its_size_while_it_is_written(tmp_path):
     for name in FILMS:
         told: list[tuple[int, int]] = []
         write_film(tmp_path / name, iter(pictures(9)), 9, FPS, on_frame=lambda *now, told=told: told.append(now))
@@ -94,14 +94,14 @@ def test_a_film_tells_how_large_it_has_become(tmp_path):
         assert 0.5 < told[-1][1] / sum(path.stat().st_size for path in files) <= 1.0
 
 
-def test_webp_ends_where_its_container_does(monkeypatch, tmp_path):
+def test_webp_larger_than_its_container_is_an_error(monkeypatch, tmp_path):
     monkeypatch.setattr(animated_webp, "MAX_RIFF_BYTES", 500)
     with pytest.raises(OSError, match="too large for WebP, whose limit is 4 GB") as caught:
         write_film(tmp_path / "film.webp", iter(pictures(9)), 9, FPS)
     assert caught.value.filename == str(tmp_path / "film.webp") and left(tmp_path) == []
 
 
-def test_webp_of_a_rate_that_is_no_whole_number_of_milliseconds_keeps_time(tmp_path):
+def test_webp_durations_round_without_drift(tmp_path):
     write_film(tmp_path / "film.webp", iter(pictures(31)), 31, 30.0)
     with Image.open(tmp_path / "film.webp") as film:
         total = 0
@@ -112,7 +112,7 @@ def test_webp_of_a_rate_that_is_no_whole_number_of_milliseconds_keeps_time(tmp_p
     assert total == pytest.approx(31 / 30.0 * 1000.0, abs=1.0)
 
 
-def test_a_film_of_one_frame(tmp_path):
+def test_a_film_may_have_one_frame(tmp_path):
     (made,) = pictures(1)
     for name in FILMS:
         write_film(tmp_path / name, iter([made]), 1, FPS)
@@ -122,7 +122,7 @@ def test_a_film_of_one_frame(tmp_path):
     assert len(decoded(tmp_path / "film.mp4")) == 1
 
 
-def test_frames_of_png_lose_nothing(tmp_path):
+def test_png_frames_keep_every_pixel(tmp_path):
     made = pictures(4, 31, 45)
     write_film(tmp_path / "frames/%03d.png", iter(made), 4, FPS)
     assert left(tmp_path) == ["frames", *(f"frames/00{n}.png" for n in range(1, 5))]
@@ -137,8 +137,10 @@ def decoded(path: Path) -> list:
         return list(container.decode(video=0))
 
 
-def test_mp4_is_what_players_and_browsers_take(tmp_path):
-    """H.264, 4:2:0, even sides, said and meant to be BT.709 of limited range: flat colours come back, also in the last row."""
+def test_mp4_has_the_format_that_browsers_play(tmp_path):
+    """The stream is H.264, 4:2:0, with even sides, tagged and encoded as BT.709 of limited range. Flat colours survive,
+    also in the last row.
+    """
     import av
 
     colors = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (200, 60, 30), (128, 128, 128), (255, 255, 255), (0, 0, 0), (30, 90, 200)]
@@ -157,11 +159,11 @@ def test_mp4_is_what_players_and_browsers_take(tmp_path):
         assert np.abs(found[60, 20 * number + 10].astype(int) - color).max() <= 3
     assert np.abs(found[121, 161].astype(int) - colors[-1]).max() <= 3
     content = (tmp_path / "film.mp4").read_bytes()
-    assert content.index(b"moov") < content.index(b"mdat")  # what a browser needs first comes first
+    assert content.index(b"moov") < content.index(b"mdat")  # browsers need the index before the data
 
 
 @pytest.mark.parametrize("name", FILMS)
-def test_a_frame_for_each_core_is_held(tmp_path, name):
+def test_at_most_a_frame_for_each_core_is_in_memory(tmp_path, name):
     taken: list[weakref.ref[np.ndarray]] = []
     most = 0
 
@@ -185,7 +187,7 @@ class StopError(Exception):
 @pytest.mark.parametrize("name", FILMS)
 @pytest.mark.parametrize("error", [StopError, KeyboardInterrupt, SystemExit])
 @pytest.mark.parametrize("is_there", [True, False])
-def test_what_ends_a_film_early_leaves_what_was_there(tmp_path, name, error, is_there):
+def test_a_film_that_fails_keeps_the_old_files(tmp_path, name, error, is_there):
     if is_there:
         write_film(tmp_path / name, iter(pictures(5)[::-1]), 5, FPS)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
@@ -201,7 +203,7 @@ def test_what_ends_a_film_early_leaves_what_was_there(tmp_path, name, error, is_
 
 
 @pytest.mark.parametrize("name", FILMS)
-def test_a_full_disk_is_told_by_the_films_own_name(tmp_path, name, full_disk):
+def test_a_full_disk_error_names_the_film(tmp_path, name, full_disk):
     with full_disk(1500), pytest.raises(OSError, match="large|space") as caught:
         write_film(tmp_path / name, iter([*pictures(20, 90, 120)]), 20, FPS)
     assert str(caught.value.filename) in (str(tmp_path / name), str((tmp_path / name).parent))
@@ -209,7 +211,7 @@ def test_a_full_disk_is_told_by_the_films_own_name(tmp_path, name, full_disk):
 
 
 @pytest.mark.parametrize("name", ["film.webp", "film.mp4"])
-def test_a_device_without_room_is_told(tmp_path, name):
+def test_a_full_device_is_an_error(tmp_path, name):
     (tmp_path / name).symlink_to("/dev/full")
     with pytest.raises(OSError, match="space"):
         write_film(tmp_path / name, iter(pictures(5)), 5, FPS)
@@ -229,25 +231,25 @@ def test_a_device_without_room_is_told(tmp_path, name):
         ("film%-4d.png", "frames/%04d.png"),
     ],
 )
-def test_names_that_no_film_can_have(tmp_path, name, allowed):
+def test_invalid_film_names_are_refused(tmp_path, name, allowed):
     with pytest.raises(InputError) as caught:
         check_film_path(tmp_path / name, 5, (40, 30))
     assert caught.value.name == "output" and allowed in caught.value.allowed
 
 
-def test_names_that_films_have(tmp_path):
+def test_valid_film_names_are_accepted(tmp_path):
     for name in ("a.webp", "A.MP4", "%d.png", "a%04d b.PNG", "new/%02d.png"):
         check_film_path(tmp_path / name, 5, (40, 30))
     assert [path.name for path in film_files(tmp_path / "a%02d.png", 3)] == ["a01.png", "a02.png", "a03.png"]
 
 
 @pytest.mark.parametrize("name", ["nowhere/film.webp", "no/where/%d.png"])
-def test_a_folder_that_is_not_there(tmp_path, name):
+def test_a_missing_folder_is_an_error(tmp_path, name):
     with pytest.raises(FileNotFoundError):
         check_film_path(tmp_path / name, 5, (40, 30))
 
 
-def test_frames_of_a_longer_film_do_not_stay_among_these(tmp_path):
+def test_frames_of_an_older_longer_film_are_refused(tmp_path):
     write_film(tmp_path / "frames/%03d.png", iter(pictures(4)), 4, FPS)
     (tmp_path / "frames/notes.png").write_bytes(b"mine")
     check_film_path(tmp_path / "frames/%03d.png", 4, (40, 30))
@@ -258,13 +260,13 @@ def test_frames_of_a_longer_film_do_not_stay_among_these(tmp_path):
     assert (tmp_path / "frames/notes.png").read_bytes() == b"mine"
 
 
-def test_a_missing_encoder_is_told_with_what_brings_it(tmp_path, monkeypatch):
+def test_a_missing_encoder_is_an_error_with_a_remedy(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(InputError) as caught:
         check_film_path(tmp_path / "film.mp4", 5, (40, 30))
     assert str(caught.value) == "output: this machine has no encoder of .mp4. Run pip install 'skugga[film]', or use a .webp file."
 
 
-def test_what_webp_cannot_hold(tmp_path):
+def test_pictures_too_large_for_webp_are_refused(tmp_path):
     with pytest.raises(InputError, match="at most 16383 pixels a side"):
         check_film_path(tmp_path / "film.webp", 5, (16384, 30))

@@ -1,4 +1,4 @@
-"""When a film plays: from texts to frames, and what each wrong one is told."""
+"""Time span of a film: from option texts to frames, and the error of each invalid one."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def path(*at: str) -> CameraPathSpec:
     return CameraPathSpec.model_validate({"keys": [{"at": each, "eye": [0, 0, 5], "target": [9, 9, 0]} for each in at]})
 
 
-def test_a_day_has_both_its_ends():
+def test_a_day_includes_both_ends():
     span = film_span(MORNING, EVENING, "10m")
     assert span == FilmSpan(73, 600.0, datetime.fromisoformat(MORNING))
     assert span.parse_time(72) == datetime.fromisoformat(EVENING) and span.length_s == 43200.0
-    assert film_span(MORNING, EVENING, "7m").frames == 103  # the last one at 17:54
+    assert film_span(MORNING, EVENING, "7m").frames == 103  # the last frame is at 17:54
     assert film_span(MORNING, MORNING, "7m").frames == 1
 
 
@@ -32,13 +32,13 @@ def test_ends_may_have_different_offsets():
     assert film_span(MORNING, "2024-10-21T10:30:00Z", "10m").frames == 4
 
 
-def test_readings_of_the_clock_play_at_their_own_pace():
+def test_the_default_step_of_clock_spans_is_one_frame():
     assert film_span("2s", "4s", None) == FilmSpan(51, 0.04, None, 2.0)
     assert film_span("0s", "1m", "10s", 10.0) == FilmSpan(7, 10.0, None, 0.0)
     assert film_span("0s", "0.1s", "0.05s").frames == 3
 
 
-def test_a_path_gives_the_ends():
+def test_a_camera_path_sets_the_ends_of_the_span():
     assert film_span(None, None, None, 10.0, path("0s", "2s")) == FilmSpan(21, 0.1)
     assert film_span(None, None, "0.5s", 10.0, path("1s", "2s"), 7.0) == FilmSpan(5, 0.5, None, 7.0)
     dated = path(MORNING, EVENING)
@@ -49,7 +49,7 @@ def test_a_path_gives_the_ends():
 
 @given(st.integers(1, 120), st.integers(0, 80))
 def test_whole_seconds_have_whole_frames_at_any_rate(fps, seconds):
-    """Also where a frame is no whole number of microseconds."""
+    """This also holds where a frame is no whole number of microseconds."""
     assert film_span("0s", f"{seconds}s", None, float(fps)).frames == seconds * fps + 1
 
 
@@ -91,13 +91,13 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_wrong_is_told_by_its_name(name):
+def test_wrong_spans_name_their_parameter(name):
     given_, parameter, allowed = WRONG[name]
     with pytest.raises(InputError) as caught:
         film_span(*given_)
     assert caught.value.name == parameter and allowed in str(caught.value)
 
 
-def test_fewer_frames_may_be_allowed():
+def test_the_limit_of_frames_can_be_lowered():
     with pytest.raises(InputError, match="73 frames, one every 600 s, more than the limit of 50 frames. Use a longer step"):
         film_span(MORNING, EVENING, "10m", max_frames=50)

@@ -32,10 +32,10 @@ def around(lon: float, lat: float, half: float) -> tuple[float, float, float, fl
 def test_served_matrix_sets_are_plain_grids_of_256_px():
     served = served_matrix_sets()
     assert {"WebMercatorQuad", "WGS1984Quad", "EuropeanETRS89_LAEAQuad"} <= set(served)
-    assert not {"CDB1GlobalGrid", "GNOSISGlobalGrid"} & set(served)  # tiles of other sizes; rows of other widths
+    assert not {"CDB1GlobalGrid", "GNOSISGlobalGrid"} & set(served)  # tiles of other sizes; rows of varying width
 
 
-def test_an_unknown_matrix_set_is_answered_with_the_known_ones():
+def test_an_unknown_matrix_set_error_lists_the_known_ones():
     with pytest.raises(NotServedError, match="WebMercatorQuad") as caught:
         matrix_set_of("Nowhere")
     assert caught.value.name == "tms"
@@ -52,8 +52,10 @@ def test_zooms_follow_from_size_on_the_ground(lat: float):
     assert 0.7 < pixel_m[1] / 25.0 < 1.42
 
 
-def test_zooms_go_on_to_what_stands_on_the_ground(write_raster, make_scene, tmp_path):
-    """Bare ground ends three zooms past its cells; trees and houses where one of 10 m has 20 pixels."""
+def test_objects_add_finer_zooms(write_raster, make_scene, tmp_path):
+    """Zooms of terrain alone end three zooms past its cells. With trees and houses they end where an object of 10 m has 20
+    pixels.
+    """
     raster = write_raster(np.zeros((60, 60), np.float32), "EPSG:32633", 450_000.0, 6_000_000.0, 30.0)
     place = {"type": "Point", "coordinates": [14.249, 54.142]}
     (tmp_path / "tree.geojson").write_text(json.dumps({
@@ -88,7 +90,7 @@ def test_no_zooms_lost_at_the_antimeridian():
     assert zoom_range(MERCATOR, world(180.0, -17.0), (179.8, -17.2, 180.2, -16.8), 30.0) is not None
 
 
-def test_tiles_outside_are_named():
+def test_the_error_of_an_outside_tile_names_its_index():
     zooms = ZoomRange(9, 14)
     check_tile(MERCATOR, zooms, 9, 511, 0)
     for zxy, name in (((8, 0, 0), "z"), ((15, 0, 0), "z"), ((9, 512, 0), "x"), ((9, 0, -1), "y")):
@@ -97,7 +99,7 @@ def test_tiles_outside_are_named():
         assert caught.value.name == name
 
 
-def test_doubles():
+def test_quadtree_levels_are_recognized():
     assert is_quadtree_level(MERCATOR, 10)
     assert not is_quadtree_level(MERCATOR, MERCATOR.maxzoom)
     assert not is_quadtree_level(registered.get("CanadianNAD83_LCC"), 5)
@@ -108,12 +110,12 @@ def shown(data: tuple[float, float, float, float], zoom: int) -> set[tuple[int, 
     return {(x, y) for x in range(count) for y in range(count) if not off_data(MERCATOR, zoom, x, y, data)}
 
 
-def test_tiles_off_the_data_are_known():
+def test_tiles_off_the_data_are_recognized():
     data = around(8.0, 46.0, 2.0)
     assert shown(data, 6) == {(tile.x, tile.y) for tile in MERCATOR.tiles(*data, zooms=6)}
 
 
-def test_data_across_the_antimeridian_is_seen_from_both_sides():
+def test_data_across_the_antimeridian_is_on_both_sides():
     east, west = (
         MERCATOR.tiles(178.0, -18.0, 179.9, -16.0, zooms=6),
         MERCATOR.tiles(-179.9, -18.0, -178.0, -16.0, zooms=6),
@@ -121,7 +123,7 @@ def test_data_across_the_antimeridian_is_seen_from_both_sides():
     assert shown((178.0, -18.0, 182.0, -16.0), 6) == {(tile.x, tile.y) for tiles in (east, west) for tile in tiles}
 
 
-def test_a_tile_over_the_pole_is_not_taken_for_empty():
+def test_a_tile_over_the_pole_is_not_empty():
     polar = registered.get("UPSArcticWGS84Quad")
     tile = polar.tile(0.0, 89.99, 5)
     assert not off_data(polar, 5, tile.x, tile.y, (-180.0, 85.0, 180.0, 90.0))
@@ -141,7 +143,7 @@ def test_no_tile_with_data_is_ever_skipped(seed: int):
         assert not off_data(MERCATOR, zoom, tile.x, tile.y, (west, south, east, north))
 
 
-def test_a_tile_across_the_antimeridian_sees_data_on_its_far_side():
+def test_a_tile_across_the_antimeridian_has_both_sides():
     zealand = registered.get("NZTM2000Quad")
     tile = zealand.tile(179.9, -40.0, 5)
     assert all((tile.x, tile.y) == (each.x, each.y) for each in (zealand.tile(lon, -40.0, 5) for lon in (179.0, -179.0)))

@@ -1,4 +1,4 @@
-"""What a picture is expected to cost: told, with the key that makes it cheap, and bounded alike in commands and the service."""
+"""Expected cost of a picture: the message names the key that reduces it, and commands and the service have the same limit."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from tests.shadows.test_area_light import LAMPS, figure
 
 @pytest.fixture
 def lit(tmp_path: Path) -> tuple[Scene, Plan]:
-    """A scene in whose view a lamp is shown as a ball, and a plan that is expected to take 65 s."""
+    """Return a scene whose view shows a lamp as a ball, and a plan with an expected time of 65 s."""
     scene = figure(tmp_path, lights={"spot": LAMPS["spot"]}, sun="none")
     plan = plan_of(scene, scene.view("eye"), algorithm="shadow_map")
     return scene, plan.model_copy(update={"predicted": Predicted(ms=65_000.0, wrong=0.01, wrong_cast=0.01)})
 
 
-def test_a_plan_that_takes_long_names_the_key_that_makes_it_cheap(lit: tuple[Scene, Plan]):
+def test_a_slow_plan_names_the_key_that_makes_it_cheaper(lit: tuple[Scene, Plan]):
     _, plan = lit
     points = soft_lamps(plan)["spot"]
     assert points > 1
@@ -35,7 +35,7 @@ def test_a_plan_that_takes_long_names_the_key_that_makes_it_cheap(lit: tuple[Sce
     assert "For less time" not in format_expectation(quick)
 
 
-def test_beyond_the_bound_it_is_refused(lit: tuple[Scene, Plan]):
+def test_a_plan_over_the_limit_is_refused(lit: tuple[Scene, Plan]):
     _, plan = lit
     refusal = r"a block .* expected to take 65 s, more than the limit of 60 s \(SETTING\)\. lights.spot.radius: 0"
     with pytest.raises(TooCostlyError, match=refusal):
@@ -45,7 +45,7 @@ def test_beyond_the_bound_it_is_refused(lit: tuple[Scene, Plan]):
     check_cost(plan.model_copy(update={"predicted": None}), "a block", 60_000.0, "SETTING")
 
 
-def test_a_command_refuses_what_a_service_does_unless_told(lit: tuple[Scene, Plan], monkeypatch: pytest.MonkeyPatch):
+def test_commands_have_the_limit_of_the_service(lit: tuple[Scene, Plan], monkeypatch: pytest.MonkeyPatch):
     scene, plan = lit
     monkeypatch.setattr(snapshot_module, "scene_and_view", lambda *asked: (scene, scene.view("eye")))
     monkeypatch.setattr(snapshot_module, "plan_for", lambda *asked: plan)

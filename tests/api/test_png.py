@@ -1,4 +1,4 @@
-"""PNG files of our own making, read by Pillow."""
+"""The project's own PNG encoder, read back by Pillow."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ SHAPES = {"gray": (5, 7), "gray and alpha": (5, 7, 2), "RGB": (256, 256, 3), "RG
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_they_hold_what_was_put_in(shape):
+def test_png_survives_a_round_trip(shape):
     array = np.random.default_rng(3).integers(0, 256, shape).astype(np.uint8)
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(array)))), array)
 
 
-def test_sixteen_bits():
+def test_sixteen_bit_png_survives_a_round_trip():
     array = np.random.default_rng(3).integers(0, 65536, (6, 11)).astype(np.uint16)
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(array)))), array)
 
 
-def test_views_of_any_order_are_written():
+def test_strided_views_are_written():
     array = np.arange(12 * 10 * 3).reshape(12, 10, 3).astype(np.uint8)[::-2, 1:8]
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(array)))), array)
 
 
-def test_zlib_does_the_same(monkeypatch):
+def test_zlib_gives_the_same_picture(monkeypatch):
     array = np.random.default_rng(3).integers(0, 256, (5, 7, 3)).astype(np.uint8)
     monkeypatch.setattr(png, "_compress", partial(zlib.compress, level=3))
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(array)))), array)

@@ -1,4 +1,4 @@
-"""A machine without threads, descriptors or memory: what failed is not done later, and nothing is lost."""
+"""A machine without threads, descriptors or memory: failed work does not run later, and nothing is lost."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _caused_by(cause: Exception) -> Exception:
         _caused_by(OSError(errno.ENOMEM, "Cannot allocate memory")),
     ],
 )
-def test_errors_of_a_machine_that_has_nothing_left(error: Exception):
+def test_exhaustion_errors_are_503(error: Exception):
     found = exhausted_error(error)
     assert found is not None
     assert (outcome_of(found).status, outcome_of(found).retry_after_s) == (503, 5)
@@ -58,12 +58,14 @@ def test_errors_of_a_machine_that_has_nothing_left(error: Exception):
 @pytest.mark.parametrize(
     "error", [RuntimeError("no running event loop"), OSError(errno.ENOENT, "No such file"), _caused_by(ValueError("a bug"))]
 )
-def test_other_errors_are_none_of_the_machine(error: Exception):
+def test_other_errors_are_no_exhaustion(error: Exception):
     assert exhausted_error(error) is None
 
 
-def test_no_route_needs_a_thread_before_it_begins():
-    """The framework calls plain functions in threads: then a machine without any would not even be told that the service lives."""
+def test_routes_start_without_a_thread():
+    """The framework calls plain functions in threads. With them even the health check would fail on a machine without
+    threads.
+    """
 
     def parts(dependant: Dependant) -> Iterator[object]:
         yield dependant.call
@@ -76,8 +78,8 @@ def test_no_route_needs_a_thread_before_it_begins():
     assert not [part for part in found if not inspect.iscoroutinefunction(part)]
 
 
-def test_what_no_thread_could_be_started_for_is_never_run(monkeypatch: pytest.MonkeyPatch):
-    """An executor has it in its queue all the same."""
+def test_work_without_a_thread_is_never_run(monkeypatch: pytest.MonkeyPatch):
+    """An executor puts the work into its queue even if it cannot start a thread."""
     ran: list[str] = []
 
     async def scenario() -> None:
@@ -90,7 +92,7 @@ def test_what_no_thread_could_be_started_for_is_never_run(monkeypatch: pytest.Mo
     assert ran == ["run"]
 
 
-def test_a_process_that_there_is_no_thread_to_ask_in_is_kept(monkeypatch: pytest.MonkeyPatch):
+def test_a_lack_of_threads_keeps_the_render_process(monkeypatch: pytest.MonkeyPatch):
     async def scenario(pool: Pool) -> None:
         await until(lambda: pool.ready)
         pids = set(pool.pids)
@@ -108,7 +110,7 @@ def test_a_process_that_there_is_no_thread_to_ask_in_is_kept(monkeypatch: pytest
     with_pool(scenario)
 
 
-def test_idle_work_that_cannot_begin_leaves_nothing_open(monkeypatch: pytest.MonkeyPatch):
+def test_idle_work_that_cannot_start_closes_its_files(monkeypatch: pytest.MonkeyPatch):
     async def scenario() -> None:
         failed: list[str] = []
 
@@ -130,7 +132,7 @@ def test_idle_work_that_cannot_begin_leaves_nothing_open(monkeypatch: pytest.Mon
     asyncio.run(scenario())
 
 
-def test_loops_are_compiled_later_where_that_failed(monkeypatch: pytest.MonkeyPatch):
+def test_failed_compilation_is_retried_later(monkeypatch: pytest.MonkeyPatch):
     compiled = threading.Event()
     monkeypatch.setattr(background_compile, "compile_ahead", lambda *asked, **more: compiled.set())
 
@@ -152,7 +154,7 @@ def test_loops_are_compiled_later_where_that_failed(monkeypatch: pytest.MonkeyPa
     asyncio.run(scenario())
 
 
-def test_a_film_that_no_thread_could_write_is_not_drawn_later(monkeypatch: pytest.MonkeyPatch):
+def test_a_film_without_a_thread_is_not_drawn_later(monkeypatch: pytest.MonkeyPatch):
     drawn: list[int] = []
 
     async def draw(asked: object):

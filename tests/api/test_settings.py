@@ -15,18 +15,18 @@ def test_defaults_are_safe():
 
 
 @pytest.mark.parametrize(("cores", "workers"), [(1, 1), (2, 2), (64, 4)])
-def test_a_render_process_per_core_within_reason(monkeypatch: pytest.MonkeyPatch, cores: int, workers: int):
+def test_the_default_is_one_worker_per_core_within_bounds(monkeypatch: pytest.MonkeyPatch, cores: int, workers: int):
     monkeypatch.setattr(module, "usable_cores", lambda: cores)
     assert load_settings().workers == workers
 
 
-def test_a_device_is_calibrated_unasked(monkeypatch: pytest.MonkeyPatch):
+def test_calibration_when_idle_is_the_default(monkeypatch: pytest.MonkeyPatch):
     assert not load_settings().calibrate_when_idle, "services of tests must not"
     monkeypatch.delenv("SKUGGA_CALIBRATE_WHEN_IDLE")
     assert load_settings().calibrate_when_idle
 
 
-def test_environment_and_arguments(monkeypatch: pytest.MonkeyPatch):
+def test_arguments_override_the_environment(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("SKUGGA_WORKERS", "3")
     monkeypatch.setenv("SKUGGA_PORT", "9000")
     monkeypatch.setenv("SKUGGA_CORS_ORIGINS", "https://a.example, https://b.example")
@@ -59,12 +59,12 @@ def test_wrong_argument_is_named():
     assert caught.value.name == "workers"
 
 
-def test_settings_do_not_change():
+def test_settings_are_immutable():
     with pytest.raises(ValidationError):
         Settings().workers = 2
 
 
-def test_a_secret_that_is_wrong_is_not_told(monkeypatch: pytest.MonkeyPatch):
+def test_messages_do_not_show_a_wrong_secret(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("SKUGGA_API_TOKEN", "hunter2")
     with pytest.raises(InputError) as caught:
         load_settings()

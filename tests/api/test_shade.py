@@ -1,4 +1,4 @@
-"""Rasters of shade: what they hold, where their cells lie, and that they are whole or not there."""
+"""Rasters of shade: their values, the georeference of their cells, and atomic writes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def written(scene: Scene, folder: Path, layer: str = "mask", sun: SunSpec | None
         return dataset.read().squeeze(), path
 
 
-def test_a_mask_lies_on_the_rasters_own_cells(scene, tmp_path):
+def test_a_mask_has_the_raster_s_own_cells(scene, tmp_path):
     mask, path = written(scene, tmp_path)
     with rasterio.open(path) as made, rasterio.open(tmp_path / "hills.tif") as own:
         assert (made.transform, made.shape, made.crs) == (own.transform, own.shape, own.crs)
@@ -55,7 +55,7 @@ def test_a_mask_lies_on_the_rasters_own_cells(scene, tmp_path):
     assert 0.1 < (mask == MASK_SHADOW).mean() < 0.6
 
 
-def test_it_is_what_pictures_say_of_the_same_points(gl, scene, tmp_path, monkeypatch):
+def test_masks_equal_pictures_at_the_same_points(gl, scene, tmp_path, monkeypatch):
     quick, _ = written(scene, tmp_path)
     monkeypatch.setattr("skugga.shadows.draw.sunlit_picture", lambda *_: None)
     slow, _ = written(scene, tmp_path)
@@ -63,8 +63,10 @@ def test_it_is_what_pictures_say_of_the_same_points(gl, scene, tmp_path, monkeyp
     np.testing.assert_array_equal(quick, slow)
 
 
-def test_a_wall_shades_as_many_cells_as_it_must(tmp_path):
-    """In a flat world: 90 m high, the sun in the west, half as high as it is far: 180 m, 6 cells of 30 m."""
+def test_a_wall_shades_six_cells_of_a_raster(tmp_path):
+    """In an engineering CRS, the wall is 90 m high and the sun in the west at a slope of 1:2. The shadow has 180 m, 6 cells
+    of 30 m.
+    """
     heights = np.zeros((40, 200), np.float32)
     heights[:, 100] = 90.0
     flat = opened(write_geotiff(tmp_path / "wall.tif", heights, ENGINEERING, 0, 0, CELL_M))
@@ -73,7 +75,7 @@ def test_a_wall_shades_as_many_cells_as_it_must(tmp_path):
     np.testing.assert_array_equal(shaded, np.arange(101, 107))
 
 
-def test_a_part_is_cut_from_the_whole(scene, tmp_path):
+def test_a_part_equals_the_whole(scene, tmp_path):
     whole, _ = written(scene, tmp_path)
     west, north = 500e3 + 50 * CELL_M, 5200e3 - 80 * CELL_M
     part, path = written(scene, tmp_path, bounds=(west, north - 100 * CELL_M, west + 120 * CELL_M, north))
@@ -82,8 +84,8 @@ def test_a_part_is_cut_from_the_whole(scene, tmp_path):
         assert dataset.transform == Affine(CELL_M, 0, west, 0, -CELL_M, north)
 
 
-def test_blocks_join(scene, tmp_path, monkeypatch):
-    """A raster of several blocks is the same as its parts in one."""
+def test_blocks_join_without_seams(scene, tmp_path, monkeypatch):
+    """A raster of several blocks equals its parts drawn in one block."""
     wide = opened(write_geotiff(tmp_path / "wide.tif", hills(200, 1500), "EPSG:32633", 500e3, 5200e3, CELL_M))
     mask, _ = written(wide, tmp_path)
     bounds = 500e3 + 900 * CELL_M, 5200e3 - 200 * CELL_M, 500e3 + 1150 * CELL_M, 5200e3
@@ -92,7 +94,7 @@ def test_blocks_join(scene, tmp_path, monkeypatch):
     assert 0.1 < (mask == MASK_SHADOW).mean() < 0.6
 
 
-def test_the_cells_of_another_raster(scene, tmp_path):
+def test_like_uses_the_cells_of_another_raster(scene, tmp_path):
     like = write_geotiff(tmp_path / "scene.tif", np.zeros((50, 70), np.uint8), "EPSG:3857", 1_672_000.0, 5_932_000.0, 60.0)
     mask, path = written(scene, tmp_path, like=like)
     with rasterio.open(path) as made, rasterio.open(like) as theirs:
@@ -100,7 +102,7 @@ def test_the_cells_of_another_raster(scene, tmp_path):
     assert mask.shape == (50, 70) and 0.05 < (mask == MASK_SHADOW).mean() < 0.7
 
 
-def test_another_crs_and_resolution(tmp_path):
+def test_crs_and_resolution_are_respected(tmp_path):
     smooth = opened(write_geotiff(tmp_path / "smooth.tif", hills(rough_m=0.0), "EPSG:32633", 500e3, 5200e3, CELL_M))
     own, _ = written(smooth, tmp_path, "visibility")
     for resolution in (20.0, 50.0):
@@ -111,10 +113,10 @@ def test_another_crs_and_resolution(tmp_path):
         assert 0.1 < np.nanmean(visibility) == pytest.approx(np.nanmean(own), abs=0.01)
 
 
-def test_the_cosine_of_incidence_of_a_plane(tmp_path):
+def test_the_cosine_of_incidence_of_a_plane_is_exact(tmp_path):
     row, col = np.mgrid[:60, :60].astype(np.float32)
     rise = np.tan(np.radians(20.0))
-    plane = opened(write_geotiff(tmp_path / "plane.tif", -col * CELL_M * rise, ENGINEERING, 0, 0, CELL_M))  # falls to the east
+    plane = opened(write_geotiff(tmp_path / "plane.tif", -col * CELL_M * rise, ENGINEERING, 0, 0, CELL_M))  # descends to the east
     for azimuth, altitude in ((90.0, 35.0), (270.0, 35.0), (0.0, 50.0)):
         cosines, _ = written(plane, tmp_path, "cosi", SunSpec(azimuth=azimuth, altitude=altitude))
         east, up = np.sin(np.radians(20.0)), np.cos(np.radians(20.0))
@@ -132,7 +134,7 @@ def test_pictures_have_colours_and_opacity(scene, tmp_path):
     assert shadow[3][valid & (visibility == 0)].mean() > 180 > 60 > shadow[3][valid & (visibility == 1)].mean()
 
 
-def test_many_times_in_one_run_are_as_each_by_itself(scene, tmp_path):
+def test_many_times_in_one_run_equal_single_runs(scene, tmp_path):
     suns = [SunSpec(time=datetime(2024, 3, 21, hour, tzinfo=UTC)) for hour in (6, 9, 15, 23)]
     paths = [tmp_path / f"{n}.tif" for n in range(4)]
     told: list[tuple[int, int]] = []
@@ -154,7 +156,7 @@ def test_files_are_cloud_optimised(scene, tmp_path):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["hills.tif", "large.tif", "mask.tif"]
 
 
-def test_what_fails_leaves_what_was_there(scene, tmp_path, monkeypatch):
+def test_a_failed_run_keeps_the_old_file(scene, tmp_path, monkeypatch):
     _, path = written(scene, tmp_path)
     before = path.read_bytes()
 
@@ -183,6 +185,6 @@ def test_wrong_cells_are_refused(scene, tmp_path):
             raster_view(scene, **where)
 
 
-def test_lit_ground_is_lit(scene, tmp_path):
+def test_a_high_sun_lights_all_ground(scene, tmp_path):
     mask, _ = written(scene, tmp_path, sun=SunSpec(azimuth=180.0, altitude=89.0))
     assert (mask[mask != MASK_NO_SURFACE] == MASK_LIT).mean() > 0.999

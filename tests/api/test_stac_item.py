@@ -1,4 +1,4 @@
-"""STAC items as Sentinel-2's and Landsat's are: when, under which sun, on which cells; and one line for what is none."""
+"""STAC items of Sentinel-2 and Landsat: their time, sun and cells, and one line for an invalid item."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WEST, NORTH = 499_980.0, 5_200_020.0
 
 
 def sentinel_2(**changes: Any) -> dict[str, Any]:
-    """An item with cells of 10, 20 and 60 m, and both angles."""
+    """Return an item with cells of 10, 20 and 60 m, and both angles."""
     item: dict[str, Any] = {
         "type": "Feature", "stac_version": "1.1.0", "id": "S2B_33TUN_20240115_0_L2A", "geometry": None,
         "properties": {
@@ -39,7 +39,7 @@ def sentinel_2(**changes: Any) -> dict[str, Any]:
 
 
 def landsat(**changes: Any) -> dict[str, Any]:
-    """An item with its cells of its own, finer ones of the panchromatic asset, and nine numbers in the transform."""
+    """Return an item with its own cells, finer ones in the panchromatic asset, and nine numbers in the transform."""
     item: dict[str, Any] = {
         "type": "Feature", "stac_version": "1.0.0", "id": "LC09_L1TP_191027", "geometry": None,
         "properties": {
@@ -65,7 +65,7 @@ def write(tmp_path: Path):
     return write_item
 
 
-def test_sun_and_finest_cells(write):
+def test_an_item_gives_the_sun_and_its_finest_cells(write):
     for item, angles, cell, shape in (
         (sentinel_2(), (163.4, 19.6), 10.0, (240, 300)),
         (landsat(), (160.2, 18.1), 15.0, (160, 200)),
@@ -77,12 +77,12 @@ def test_sun_and_finest_cells(write):
         assert tuple(read.cells.transform)[:6] == (cell, 0.0, WEST, 0.0, -cell, NORTH)
 
 
-def test_the_time_where_an_angle_is_missing(write):
+def test_a_missing_angle_falls_back_to_the_time(write):
     read = read_stac_item(write(sentinel_2(**{"view:sun_elevation": None})))
     assert read.sun.azimuth is None and read.sun.time == datetime(2024, 1, 15, 10, 3, 9, 24000, tzinfo=UTC)
 
 
-def test_the_middle_of_a_span(write):
+def test_the_time_of_a_span_is_its_middle(write):
     span = {
         "datetime": None,
         "start_datetime": "2024-01-15T10:00:00Z",
@@ -92,7 +92,7 @@ def test_the_middle_of_a_span(write):
     assert read_stac_item(write(landsat(**span))).sun.time == datetime(2024, 1, 15, 10, 5, tzinfo=UTC)
 
 
-def test_an_item_without_cells(write):
+def test_an_item_without_a_crs_has_no_cells(write):
     item = landsat()
     del item["properties"]["proj:epsg"]
     assert read_stac_item(write(item)).cells is None
@@ -116,7 +116,7 @@ def test_an_item_without_cells(write):
         (landsat(**{"proj:shape": [80]}), ("proj:shape", "[80]")),
     ],
 )
-def test_what_is_no_item_is_one_line(write, item, words):
+def test_an_invalid_item_is_one_line(write, item, words):
     path = write(item)
     with pytest.raises(InputError) as caught:
         read_stac_item(path)
@@ -135,7 +135,7 @@ def dem(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def shaded(monkeypatch, capsys, tmp_path, dem):
-    """``shaded(*options)`` gives the mask that ``skugga shade`` writes, and its file's profile."""
+    """Return ``shaded(*options)``, which returns the mask that ``skugga shade`` writes and its file's profile."""
     from skugga.api.cli import main as cli
 
     def run(*options: str) -> tuple[np.ndarray, dict[str, Any]]:
@@ -149,13 +149,13 @@ def shaded(monkeypatch, capsys, tmp_path, dem):
     return run
 
 
-def test_a_mask_lies_on_the_scenes_cells(shaded, write):
+def test_a_mask_has_the_cells_of_the_item(shaded, write):
     mask, profile = shaded("--stac", str(write(landsat())))
     assert mask.shape == (160, 200) and tuple(profile["transform"])[:6] == (15.0, 0.0, WEST, 0.0, -15.0, NORTH)
     assert 0.1 < (mask == MASK_SHADOW).sum() / (mask != MASK_NO_SURFACE).sum() < 0.7
 
 
-def test_the_sun_is_the_items(shaded, write):
+def test_the_sun_is_that_of_the_item(shaded, write):
     by_item, _ = shaded("--stac", str(write(landsat())), "--resolution", "30", "--crs", "EPSG:32633")
     by_hand, _ = shaded("--azimuth", "160.2", "--altitude", "18.1", "--resolution", "30", "--crs", "EPSG:32633")
     np.testing.assert_array_equal(by_item, by_hand)
@@ -164,7 +164,7 @@ def test_the_sun_is_the_items(shaded, write):
     np.testing.assert_array_equal(by_item, by_hand)
 
 
-def test_another_way_to_say_when_is_refused(monkeypatch, capsys, tmp_path, dem, write):
+def test_stac_and_time_conflict(monkeypatch, capsys, tmp_path, dem, write):
     from skugga.api.cli import main as cli
 
     monkeypatch.setattr("sys.argv", ["skugga", "shade", str(dem), "--stac", str(write(landsat())), "--time", "2024-01-15T09:45:31Z",

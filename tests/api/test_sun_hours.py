@@ -1,4 +1,4 @@
-"""Rasters of hours of sun: parts equal the whole, blocks join, other CRSs, objects on the ground, contours."""
+"""Rasters of hours of sun: parts, blocks, other CRSs, objects on the ground, contours."""
 
 from __future__ import annotations
 
@@ -56,16 +56,16 @@ def test_a_part_equals_the_whole(scene, tmp_path):
     np.testing.assert_array_equal(part, whole[70:120, 20:80])
 
 
-def test_blocks_join(scene, tmp_path, monkeypatch):
+def test_blocks_of_sun_hours_join(scene, tmp_path, monkeypatch):
     whole, _ = written(scene, tmp_path)
     monkeypatch.setattr(module, "BLOCK_NODES", 64)
     assert len(sun_blocks(scene, raster_view(scene).view)) == 9
     apart, _ = written(scene, tmp_path)
     wrong = 60.0 * np.abs(apart - whole)
-    assert wrong.mean() < 0.2 and np.percentile(wrong, 99) < 3.0  # minutes: lines fall elsewhere between nodes
+    assert wrong.mean() < 0.2 and np.percentile(wrong, 99) < 3.0  # minutes: sweep lines run elsewhere between nodes
 
 
-def test_cells_of_another_crs_and_of_other_sides_say_the_same(scene, tmp_path):
+def test_cells_of_another_crs_and_shape_give_the_same_hours(scene, tmp_path):
     own, path = written(scene, tmp_path)
     (tmp_path / "far").mkdir()
     far, other = written(scene, tmp_path / "far", crs="EPSG:4326", resolution=0.0004)
@@ -82,7 +82,7 @@ def test_cells_of_another_crs_and_of_other_sides_say_the_same(scene, tmp_path):
     assert np.corrcoef(half[5:-5, 5:-5].ravel(), own[::2][5:-5, 5:-5].ravel())[0, 1] > 0.9
 
 
-def test_objects_cast_their_shadow_too(gl, tmp_path):
+def test_objects_reduce_hours_of_sun(gl, tmp_path):
     write_geotiff(tmp_path / "flat.tif", np.zeros((60, 60), np.float32), "EPSG:32632", 500e3, 5200e3, 5.0)
     house = shapely.transform(
         shapely.box(500140.0, 5199840.0, 500160.0, 5199860.0),
@@ -120,7 +120,7 @@ def test_contours_join_across_windows(tmp_path, monkeypatch):
         assert shapely.centroid(line).y == pytest.approx(5200e3 - 455.0, abs=0.5)
 
 
-def test_contours_end_at_holes_and_may_be_none(tmp_path):
+def test_contours_end_at_holes_and_may_be_empty(tmp_path):
     hours = np.tile(np.arange(40, dtype=np.float32), (30, 1))
     hours[10:12] = np.nan
     raster = write_geotiff(tmp_path / "hole.tif", hours, "EPSG:32632", 500e3, 5200e3, 10.0)
@@ -128,6 +128,6 @@ def test_contours_end_at_holes_and_may_be_none(tmp_path):
     assert write_contours(raster, [99.0], tmp_path / "none.gpkg") == 0
 
 
-def test_a_quantity_that_there_is_not_is_told():
+def test_an_unknown_quantity_is_refused():
     with pytest.raises(InputError, match="quantity: 'minutes'.*'hours', 'first', 'last', 'longest' or 'days'"):
         PRODUCTS["sunhours"].options_of({"date": "2024-03-21", "quantity": "minutes"})

@@ -1,4 +1,4 @@
-"""Heights in colours: by arithmetic."""
+"""Heights encoded as colours (Mapbox Terrain-RGB, Terrarium), computed by the published formulas."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from skugga.api.terrain_encodings import terrain_rgb, terrarium
 
 
 def mapbox_height_m(rgb: np.ndarray) -> np.ndarray:
-    """As Mapbox's documentation has it."""
+    """Return heights by the formula of Mapbox's documentation."""
     r, g, b = np.moveaxis(rgb.astype(np.float64), -1, 0)
     return -10000 + (r * 256 * 256 + g * 256 + b) * 0.1
 
 
 def terrarium_height_m(rgb: np.ndarray) -> np.ndarray:
-    """As Tilezen's documentation has it."""
+    """Return heights by the formula of Tilezen's documentation."""
     r, g, b = np.moveaxis(rgb.astype(np.float64), -1, 0)
     return r * 256 + g + b / 256 - 32768
 
@@ -30,20 +30,20 @@ def terrarium_height_m(rgb: np.ndarray) -> np.ndarray:
         (-0.1, (1, 134, 159), (127, 255, 230)),
     ],
 )
-def test_known_heights(height_m: float, mapbox: tuple[int, ...], terrarium_rgb: tuple[int, ...]):
+def test_known_heights_have_their_published_codes(height_m: float, mapbox: tuple[int, ...], terrarium_rgb: tuple[int, ...]):
     height = np.array([[height_m]])
     assert tuple(terrain_rgb(height)[0, 0]) == mapbox
     assert tuple(terrarium(height)[0, 0]) == terrarium_rgb
 
 
-def test_a_height_comes_back_to_half_a_step():
+def test_decoded_heights_are_within_half_a_step():
     height = np.random.default_rng(5).uniform(-9999, 9000, (50, 70))
     assert np.abs(mapbox_height_m(terrain_rgb(height)) - height).max() <= 0.05 + 1e-9
     assert np.abs(terrarium_height_m(terrarium(height)) - height).max() <= 0.5 / 256 + 1e-9
 
 
-def test_half_a_step_goes_to_the_even_one():
-    """512ths of a metre are exact in binary: truncation and rounding away from zero differ here."""
+def test_half_a_step_rounds_to_even():
+    """512ths of a metre are exact in binary. Truncation and rounding away from zero would give other values."""
     halves = np.array([[1.0, 3.0, 5.0, -1.0, -3.0]]) / 512
     steps = (terrarium_height_m(terrarium(halves)) * 256).tolist()
     assert steps == [[0.0, 2.0, 2.0, 0.0, -2.0]]
@@ -51,7 +51,7 @@ def test_half_a_step_goes_to_the_even_one():
     assert np.rint(mapbox_height_m(terrain_rgb(quarters)) * 10).tolist() == [[2, 8]]
 
 
-def test_ends_and_places_off_the_data():
+def test_heights_are_clamped_and_nodata_is_filled():
     far = np.array([[-20000.0, 2e6]])
     assert terrain_rgb(far).tolist() == [[[0, 0, 0], [255, 255, 255]]]
     assert terrarium(np.array([[-40000.0, 40000.0]])).tolist() == [[[0, 0, 0], [255, 255, 255]]]

@@ -1,4 +1,4 @@
-"""On a machine without OpenGL: bare ground under the sun is drawn as ever, and what needs OpenGL is refused in one sentence."""
+"""A machine without OpenGL: terrain alone under the sun is drawn as usual, and all else is refused in one sentence."""
 
 import json
 import os
@@ -43,7 +43,7 @@ TILE = f"tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 
 @pytest.fixture(scope="module")
 def environment() -> dict[str, str]:
-    """This process's, but without drivers, and without a word of which one is expected."""
+    """Return this process's environment without drivers and without an expected renderer."""
     return {key: value for key, value in os.environ.items() if key != "SKUGGA_EXPECT_RENDERER"} | WITHOUT_DRIVERS
 
 
@@ -53,7 +53,7 @@ def level(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.usefixtures("gl")
-def test_the_command_line_draws_what_needs_none(level: Path, environment: dict[str, str]):
+def test_the_command_line_draws_terrain_without_opengl(level: Path, environment: dict[str, str]):
     folder = level.parent
     drawn, shaded, refused = folder / "drawn.png", folder / "shaded.tif", folder / "refused.png"
     size = ["--size", "200x200"]
@@ -83,7 +83,7 @@ def test_the_command_line_draws_what_needs_none(level: Path, environment: dict[s
     assert status == 1 and "MISSING  OpenGL" in said and "apt-get install" in said and "ok       a shadowed map" in said
 
 
-def test_the_service_draws_what_needs_none(level: Path, environment: dict[str, str], client: Client):
+def test_the_service_draws_terrain_without_opengl(level: Path, environment: dict[str, str], client: Client):
     with serving([level], r"on (http://\S+)", environment) as (process, address):
         with httpx.Client(base_url=address, timeout=PATIENCE_S) as without:
             tile = without.get(f"/levels/hills/{TILE}")
@@ -101,7 +101,7 @@ def test_the_service_draws_what_needs_none(level: Path, environment: dict[str, s
     assert "is replaced" not in said, "a refusal ends no render process"
 
 
-def test_a_service_that_expects_a_renderer_does_not_draw_without_one(level: Path, environment: dict[str, str]):
+def test_a_service_without_its_expected_renderer_refuses(level: Path, environment: dict[str, str]):
     with serving([level], r"on (http://\S+)", environment | {"SKUGGA_EXPECT_RENDERER": "a GPU"}) as (_, address):
         with httpx.Client(base_url=address, timeout=PATIENCE_S) as without:
             check_problem(without.get(f"/levels/hills/{TILE}"), 503, "graphics", None)

@@ -1,4 +1,6 @@
-"""The benchmark of frames: its arithmetic, its turns on a tiny picture, and that its yardstick shows the scene that we show."""
+"""The benchmark of frames: its arithmetic, its alternation of sides on a tiny picture, and a yardstick that shows the same
+scene.
+"""
 
 from __future__ import annotations
 
@@ -45,12 +47,12 @@ def row(ms: float, **more: Any) -> dict[str, Any]:
     return {"ms": ms, "cpu_ms": 2.0 * ms, "reads": 1, "read_mib": 2.0, "draws": 3, "passes_ms": {"geometry": ms}, **more}
 
 
-def test_a_ratio_is_the_median_of_those_of_the_turns():
-    """Other work slows the middle turn's two frames alike: the ratio of the medians would be 3."""
+def test_a_ratio_is_the_median_of_paired_ratios():
+    """Other work slows both frames of the middle turn alike. The ratio of the medians would be 3."""
     assert paired_ratio([row(10.0), row(90.0), row(30.0)], [row(5.0), row(45.0), row(10.0)]) == 2.0
 
 
-def test_targets_are_met_at_their_limit_and_missed_beyond_it():
+def test_targets_are_met_at_their_limit():
     key = FrameKey("SpatialAce", "planned", "new")
     frames = {key: {NOW: [row(35.0)], BASE: [row(100.0)]}}
     (found,) = (target for target in frame_targets(frames, {}) if target.counts)
@@ -61,7 +63,7 @@ def test_targets_are_met_at_their_limit_and_missed_beyond_it():
     assert not found.met and found.line.startswith("MISSED")
 
 
-def test_the_yardstick_that_counts_is_that_of_one_tap():
+def test_the_target_uses_the_yardstick_of_one_tap():
     sticks = {FrameKey("SpatialAce", "yardstick", name): {YARDSTICK: [row(ms)]} for name, ms in
               (("unshadowed", 1.0), ("512, 1 tap", 10.0), ("512, 3 x 3 taps", 20.0))}  # fmt: skip
     frames = {FrameKey("SpatialAce", "planned", "new"): {NOW: [row(40.0)]}, **sticks}
@@ -69,20 +71,20 @@ def test_the_yardstick_that_counts_is_that_of_one_tap():
     assert ratios == {True: 4.0, False: 2.0}
 
 
-def test_a_first_frame_is_held_against_warm_ones_of_its_own_process():
+def test_a_first_frame_is_compared_with_warm_ones():
     first = {"ms": 30.0, "cpu_ms": 40.0, "answer_ms": 130.0, "cpu_answer_ms": 140.0}
     warm = {"ms": 10.0, "cpu_ms": 10.0, "answer_ms": 20.0, "cpu_answer_ms": 20.0}
     found = frame_targets({}, {"valley": {NOW: [{"first": first, "warm": warm}]}})
     assert [(target.wall, target.cpu, target.counts) for target in found] == [(3.0, 4.0, True), (6.5, 7.0, False)]
 
 
-def test_the_most_memory_of_all_frames_counts():
+def test_the_memory_target_uses_the_peak_of_all_frames():
     million = FrameKey("a million trees", "planned", "new")
     found = frame_targets({million: {NOW: [row(1.0, peak_gb=1.1), row(1.0, peak_gb=1.3)]}}, {})
     assert found == [Target("a million trees: peak memory", 1.2, 1.3, unit=" GB")] and not found[0].met
 
 
-def test_tables_are_put_between_the_marks_of_a_page_again_and_again():
+def test_writing_tables_between_marks_is_idempotent():
     page = f"before\n{BEGIN}\nold\n{END}\nafter\n"
     once = put_between_marks(page, "| new |\n")
     assert once == f"before\n{BEGIN}\n\n| new |\n\n{END}\nafter\n"
@@ -92,8 +94,10 @@ def test_tables_are_put_between_the_marks_of_a_page_again_and_again():
     assert put_between_marks((ROOT / "docs" / "speed.md").read_text(encoding="utf-8"), "table")
 
 
-def test_frames_are_drawn_in_turns_and_are_the_same_to_the_bit_from_the_same_code():
-    """This checkout stands for the other one. With sun and camera moved all is drawn that is drawn, at rest the map is kept."""
+def test_alternating_sides_of_equal_code_draw_equal_frames():
+    """This checkout stands for the other one. With sun and camera moved everything is drawn anew; at rest the map is
+    cached.
+    """
     found = Found()
     in_turns("SpatialAce", TINY, "spatialace", {NOW: ROOT, BASE: ROOT, YARDSTICK: ROOT}, 2, found)
     moves = [FrameKey("SpatialAce", "planned", move) for move in ("new", "sun", "resting")]
@@ -108,7 +112,7 @@ def test_frames_are_drawn_in_turns_and_are_the_same_to_the_bit_from_the_same_cod
             assert sum(one["passes_ms"].values()) == pytest.approx(one["ms"])
     new, sun, resting = (found.frames[key][NOW] for key in moves)
     assert all(one["reads"] > 0 and one["draws"] > 0 for one in new)
-    assert len({one["color"] for one in (*new, *sun)}) == 4  # nothing is drawn from one place twice
+    assert len({one["color"] for one in (*new, *sun)}) == 4  # no position is drawn twice
     assert [one["color"] for one in resting] == [one["color"] for one in sun]
     assert resting[0]["draws"] < sun[0]["draws"]
     assert [one["reads"] for one in found.frames[FrameKey("SpatialAce", "yardstick", "unshadowed")][YARDSTICK]] == [1, 1]
@@ -118,7 +122,7 @@ def test_frames_are_drawn_in_turns_and_are_the_same_to_the_bit_from_the_same_cod
     assert "* SpatialAce is planned as shadow_map. A new view's plan: " in table
 
 
-def test_what_goes_wrong_in_a_side_is_said():
+def test_an_error_in_a_side_is_raised():
     with side(ROOT, TINY, "spatialace") as its, pytest.raises(RuntimeError, match="KeyError: 'nothing'"):
         its.ask("frame", plan="nothing")
 
@@ -130,8 +134,8 @@ def test_wrong_options_are_named(wrong, capsys):
     assert wrong[0] in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_the_yardstick_shows_the_scene_that_we_show():
-    """Sky and surface, and shadows that fall on ground before the eye, whatever a texel of 0.8 m makes of them."""
+def test_the_yardstick_shows_the_same_scene():
+    """Sky and surface agree, and so do shadows on ground near the eye, within the texels of 0.8 m."""
     scene = build_scene(load_level(find_level("spatialace")))
     view = scene.view("main", size=(200, 150))
     assert isinstance(view, PerspectiveView) and scene.sun is not None

@@ -1,4 +1,4 @@
-"""The list of messages, and the form that all of them have."""
+"""The list of messages, and the form that all messages have."""
 
 from __future__ import annotations
 

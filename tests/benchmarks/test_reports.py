@@ -1,4 +1,4 @@
-"""The published comparisons: the page and its reports belong together, and every command on it is one that `skugga` takes."""
+"""The published comparisons: the page links its reports, and ``skugga`` accepts every command on it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RUN = {"time_limit_s": 70.0, "took_s": 70, "load": 0.0}
 
 
 def parsed(command: str) -> dict[str, Any]:
-    """What `skugga` reads in a command line of `compare`; fails as it does."""
+    """Return the parameters of a command line of ``skugga compare``. Raise the command's own errors."""
     program, name, *words = shlex.split(command)
     assert (program, name) == ("skugga", "compare")
     group: Any = typer.main.get_command(app)
@@ -43,11 +43,11 @@ def measured_part(text: str) -> str:
     return text.partition(START)[2].partition(END)[0]
 
 
-def test_the_page_is_what_the_script_writes_of_its_figures() -> None:
+def test_the_comparison_page_is_up_to_date() -> None:
     assert measured_part(PAGE) == comparisons(reports.kept())
 
 
-def test_the_page_links_every_report_that_is_there_and_no_other() -> None:
+def test_the_page_links_exactly_the_existing_reports() -> None:
     found = {path.name for path in reports.REPORTS.iterdir()}
     assert found == {f"{name}.html" for name in SCENES} and set(reports.kept()) == set(SCENES)
     assert set(re.findall(r"\]\(compare/([^)]*)\)", PAGE)) == found
@@ -55,7 +55,7 @@ def test_the_page_links_every_report_that_is_there_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_published_report_is_one_small_file_of_its_scene(name: str) -> None:
+def test_a_published_report_is_one_small_file(name: str) -> None:
     report = reports.REPORTS / f"{name}.html"
     text, kept = report.read_text(encoding="utf-8"), reports.kept()[name]
     assert report.stat().st_size < MAX_BYTES
@@ -65,7 +65,7 @@ def test_a_published_report_is_one_small_file_of_its_scene(name: str) -> None:
 
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=lambda scene: scene.name)
-def test_the_command_of_a_scene_says_what_is_measured(scene: Any) -> None:
+def test_the_command_of_a_scene_matches_its_measurement(scene: Any) -> None:
     found = parsed(scene.command)
     assert (found["level"], found["view"], found["size"]) == (scene.level, scene.view, "{}x{}".format(*scene.size))
     assert scene.sun == (None if found["azimuth"] is None else (found["azimuth"], found["altitude"]))
@@ -74,7 +74,7 @@ def test_the_command_of_a_scene_says_what_is_measured(scene: Any) -> None:
     assert reports.kept()[scene.name]["command"] == scene.command
 
 
-def test_every_command_on_the_page_is_one_that_the_program_takes() -> None:
+def test_skugga_accepts_every_command_on_the_page() -> None:
     blocks = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL))
     lines = [line for line in blocks.splitlines() if line] + re.findall(r"`(skugga compare [^`]*-o DIR)`", PAGE)
     assert len(lines) == sum(len(each["left_out"]) + 1 for each in reports.kept().values())
@@ -82,7 +82,7 @@ def test_every_command_on_the_page_is_one_that_the_program_takes() -> None:
         parsed(line)
 
 
-def test_every_variant_that_was_dropped_is_named_with_its_command() -> None:
+def test_every_omitted_variant_has_its_command() -> None:
     dropped = ("relief=sweep,meshes=hybrid-768", "shadow_map-512-3-32")
     each = kept_of(figures("sweep", 12.0, 0.03), left_out=dropped)
     assert [parsed(line)["only"] for line in commands(each)] == [[name] for name in dropped]
@@ -91,12 +91,12 @@ def test_every_variant_that_was_dropped_is_named_with_its_command() -> None:
     assert "No variant was left out." in comparisons({"city": kept_of(figures("sweep", 12.0, 0.03))})
 
 
-def test_a_command_that_the_program_does_not_take_is_noticed() -> None:
+def test_an_invalid_command_is_detected() -> None:
     with pytest.raises(Exception, match="--row"):
         parsed("skugga compare jacksboro --row sweep")
 
 
-def test_the_cheapest_row_of_each_target() -> None:
+def test_the_page_lists_the_cheapest_row_of_each_target() -> None:
     leaky = figures("planar", 1.0, 0.001, interior=2 * MAX_INTERIOR)
     each = kept_of(NONE, leaky, figures("shadow_map-1", 5.0, 0.08), figures("sweep", 20.0, 0.008), figures("hybrid", 30.0, 0.009))
     assert "| city | `wrong_cast` | `shadow_map-1`, 5.0 ms | `sweep`, 20 ms | `sweep`, 20 ms | none |" in comparisons(
@@ -112,14 +112,14 @@ def test_the_cheapest_row_of_each_target() -> None:
         ({"ms": 50.0, "error": 0.01, "soft_error": 0.01}, "on the front by `wrong_cast` and `soft_error`: no row dominates it"),
     ],
 )
-def test_the_place_of_the_default(rival: dict[str, float], place: str) -> None:
+def test_the_page_ranks_the_default(rival: dict[str, float], place: str) -> None:
     default = figures("hybrid", 10.0, 0.02, pareto_soft=not (rival["ms"] < 10.0 and rival["soft_error"] < 0.02))
     each = kept_of(default, figures("sweep", **rival), default="hybrid")
     assert f"| city | `hybrid` | 2.0 % | 2.0 % | 10 ms | {place} |" in comparisons({"city": each})
 
 
 def test_names_of_rows_in_sentences_are_code() -> None:
-    """Underscores would be emphasis; and a name may begin with another's."""
+    """Underscores would be emphasis in Markdown, and one name may begin with another."""
     each = kept_of(figures("shadow_map", 1.0, 0.1), figures("shadow_map-1024-1-32", 2.0, 0.01))
     text = comparisons({"city": each})
     assert "The fastest is `shadow_map`: " in text and "The most accurate is `shadow_map-1024-1-32`: " in text
@@ -133,7 +133,7 @@ def test_a_report_that_is_too_large_is_not_written(tmp_path: Path) -> None:
     assert path.stat().st_size == MAX_BYTES - 2
 
 
-def test_a_scene_that_fails_is_told_and_the_others_are_made(
+def test_a_failed_scene_is_reported_and_the_others_are_made(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = []

@@ -1,4 +1,4 @@
-"""The seeds' figures of a second device stand beside those of the first."""
+"""The page of seed experiments: figures of a second device stand beside those of the first."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def measured_on(*devices: Any, times: tuple[dict[str, float], ...]) -> dict[str,
     return measured
 
 
-def test_cells_that_differ_hold_both_figures_in_the_order_of_the_devices():
+def test_differing_cells_hold_the_figures_of_both_devices():
     text = section_of("times", EXPERIMENT, measured_on(CPU, CARD, times=({"one": 2, "two": 0.5}, {"one": 0.25, "two": 0.5})))
     assert text is not None
     assert "| one | 1024 | 2.00 / 0.25 |\n| two | 1024 | 0.50 |" in text
@@ -50,20 +50,20 @@ def test_cells_that_differ_hold_both_figures_in_the_order_of_the_devices():
     assert "| it is fast (a text) | 0.50 | held | so it is |" in second
 
 
-def test_a_table_with_other_rows_stands_by_itself():
+def test_a_table_with_other_rows_is_separate():
     text = section_of("times", EXPERIMENT, measured_on(CPU, CARD, times=({"one": 2, "two": 0.5}, {"one": 0.25, "six": 0.5})))
     assert text is not None
     assert "| two | 1024 | 0.50 |\n" in text and "**The times: a card**" in text and "| six | 1024 | 0.50 |" in text
 
 
-def test_what_was_made_on_one_device_alone_says_so():
+def test_experiments_of_a_single_device_name_it():
     measured = measured_on(CPU, CARD, times=({"one": 2}, {"one": 0.25}))
     assert section_of("other", EXPERIMENT, measured) is None
     del measured[CPU.renderer]["experiments"]["times"]
     assert "Measured. (measured on a card alone)" in section_of("times", EXPERIMENT, measured)
 
 
-def test_measuring_again_replaces_a_devices_own_figures():
+def test_a_new_run_replaces_only_the_device_s_own_figures():
     measured = measured_on(CPU, CARD, CPU, times=({"one": 2}, {"one": 0.25}, {"one": 3}))
     assert [each["experiments"]["times"]["times"]["one"] for each in measured.values()] == [3, 0.25]
     assert list(measured) == [CPU.renderer, CARD.renderer], "the page stays about the first"
@@ -76,8 +76,10 @@ def test_the_page_says_whether_a_gpu_was_measured():
     assert "Nothing" not in about_devices(both) and "(1) a rasteriser; (2) a card" in about_devices(both)
 
 
-def test_all_experiments_can_stand_beside_those_of_another_device():
-    """Of the page as it is: a made-up device, half as fast in everything, and one that finds the same."""
+def test_all_experiments_can_be_merged_with_another_device():
+    """The test adds two made-up devices to the page: one that needs half the time for everything, and one with equal
+    figures.
+    """
     measured = json.loads(FIGURES.read_text("utf-8"))
     (first,) = measured.values()
     plain = seeds.page(measured)
@@ -94,7 +96,7 @@ def test_all_experiments_can_stand_beside_those_of_another_device():
     assert "**The same claims on card**" in seeds.page(measured | {"card": other})
 
 
-def test_a_run_on_a_second_device_leaves_the_firsts_figures_alone(tmp_path, monkeypatch, capsys):
+def test_a_second_device_keeps_the_figures_of_the_first(tmp_path, monkeypatch, capsys):
     json_file, page_file = tmp_path / "figures.json", tmp_path / "page.md"
     monkeypatch.setattr(seeds, "EXPERIMENTS", {"times": Experiment(lambda: {"times": {"one": now.speed}}, section)})
     now = SimpleNamespace(speed=2.0)

@@ -1,4 +1,4 @@
-"""The benchmark of questions of sun: the suns of other tools, exact horizons, and verdicts."""
+"""The benchmark of sun questions: sun positions of other tools, exact horizons, and verdicts."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ def comparison(*answers: SunAnswer) -> SunComparison:
     return SunComparison("here", 1.0, 60.0, {}, {}, [], [], list(answers))
 
 
-def test_suncalc_is_nearly_the_sun_of_its_date():
-    """Beside NREL's sun of the same moments, without refraction: it keeps the equinox of 2000, and is up to 0.2 degrees off."""
+def test_suncalc_is_close_to_the_sun_of_its_date():
+    """The reference is NREL's sun at the same moments, without refraction. suncalc uses the equinox of 2000 and is up to
+    0.2 degrees off.
+    """
     azimuth, altitude = suncalc(9.0, 46.95, 600.0)
     noon = np.datetime64("2020-03-21T11:24:00")
     times = noon + np.round(np.arange(-43200.0 + 300.0, 43200.0, 600.0)).astype("timedelta64[s]")
@@ -31,9 +33,10 @@ def test_suncalc_is_nearly_the_sun_of_its_date():
     assert np.abs((azimuth - path.azimuth_deg + 180.0) % 360.0 - 180.0).max() < 0.3
 
 
-def test_suncalc_gives_the_share_of_a_level_floor_that_whitebox_gives():
-    """Whitebox Workflows 2.0.6 at 9 degrees east, 46.9535 north, by azimuths of 2 degrees: a bin is lit if the sun is over the
-    horizon at its middle."""
+def test_suncalc_gives_whitebox_s_share_on_level_ground():
+    """The expected share is from Whitebox Workflows 2.0.6 at 9 degrees east, 46.9535 north, with azimuth bins of 2 degrees.
+    A bin is lit if the sun is above the horizon at its centre.
+    """
     azimuth, altitude = suncalc(9.0, 46.95353, 10.0)
     number = np.rint(azimuth / 2.0)
     day = dark = 0
@@ -45,7 +48,7 @@ def test_suncalc_gives_the_share_of_a_level_floor_that_whitebox_gives():
     assert 1.0 - dark / day == pytest.approx(12.126666 / 12.15, abs=2e-4)
 
 
-def test_the_sun_of_a_solar_day_stands_highest_at_noon_in_the_south():
+def test_the_sun_of_r_sun_culminates_in_the_south_at_noon():
     azimuth, altitude = r_sun_path(46.95, 60.0)
     highest = int(np.argmax(altitude))
     assert altitude[highest] == pytest.approx(90.0 - 46.95 + np.degrees(0.004235), abs=1e-3)  # r.sun's declination of day 80
@@ -54,21 +57,21 @@ def test_the_sun_of_a_solar_day_stands_highest_at_noon_in_the_south():
     assert azimuth[len(azimuth) // 4] == pytest.approx(90.0, abs=1.0)
 
 
-def test_before_a_cliff_in_the_east_the_morning_is_lost():
+def test_a_cliff_in_the_east_shades_the_morning():
     azimuth, altitude = np.array([90.0, 90.0, 180.0, 270.0]), np.array([10.0, 46.0, 30.0, 1.0])
     hours = hours_before_cliff(azimuth, altitude, 3600.0, 300.0, np.array([300.0, 1e9]))
-    assert hours.tolist() == [3.0, 4.0]  # under the edge, which stands at 45 degrees: the first hour
+    assert hours.tolist() == [3.0, 4.0]  # the first hour is below the edge, at 45 degrees
 
 
 def test_a_surface_is_linear_on_its_triangles():
-    height_m = np.array([[0.0, 1.0], [1.0, 4.0]])  # cut from corner to corner of 0 and 4: the higher diagonal
+    height_m = np.array([[0.0, 1.0], [1.0, 4.0]])  # cut along the higher diagonal, from the corner of 0 to that of 4
     assert surface_at(height_m, np.array([0.5, 0.25]), np.array([0.5, 0.75])).tolist() == [2.0, 0.75 + 0.25 * 3.0]
     height_m = np.array([[0.0, 1.0], [1.0, 1.0]])
     assert surface_at(height_m, np.array([0.5]), np.array([0.5])).tolist() == [1.0]
 
 
-def test_the_horizon_of_a_ridge_lies_where_its_crest_is_crossed():
-    """A crest along a column: towards an azimuth between two cells it stands farther away by the secant."""
+def test_the_horizon_of_a_ridge_is_at_its_crest():
+    """The crest runs along a column. Towards an azimuth between two cells its distance grows by the secant."""
     height_m = np.zeros((41, 41))
     height_m[:, 30] = 50.0
     for angle in (0.0, 0.3, 0.5):
@@ -76,9 +79,10 @@ def test_the_horizon_of_a_ridge_lies_where_its_crest_is_crossed():
         assert found == pytest.approx(np.degrees(np.arctan(50.0 * np.cos(angle) / 200.0)))
 
 
-def test_a_peak_beside_the_way_counts_by_the_height_of_the_edge_that_is_crossed():
-    """The way from column 1 to row 2.5, column 3 meets the diagonal that falls from the peak at six tenths of a column: its height
-    there is six tenths of the peak's."""
+def test_the_horizon_interpolates_along_crossed_edges():
+    """The ray from column 1 to row 2.5, column 3 crosses the diagonal that descends from the peak at six tenths of a
+    column. Its height there is six tenths of the peak's.
+    """
     height_m = np.zeros((5, 5))
     height_m[2, 3] = 8.0
     way = np.array([2.0, 0.5]) / np.hypot(2.0, 0.5)
@@ -86,7 +90,7 @@ def test_a_peak_beside_the_way_counts_by_the_height_of_the_edge_that_is_crossed(
     assert found == pytest.approx(np.degrees(np.arctan(4.8 / np.hypot(1.6, 0.4))))
 
 
-def test_on_the_round_earth_far_ground_sinks():
+def test_earth_curvature_lowers_far_ground():
     height_m = np.zeros((3, 2001))
     found = exact_horizon(height_m, 1, 0, 1.0, 0.0, 10.0, radius_m=6_371_000.0)
     assert found == pytest.approx(np.degrees(-10.0 / 2 / 6_371_000.0), rel=1e-3)  # the nearest ground is the highest
@@ -95,18 +99,18 @@ def test_on_the_round_earth_far_ground_sinks():
     assert np.tan(np.radians(found)) == pytest.approx((100.0 - 20_000.0**2 / 2 / 6_371_000.0) / 20_000.0, rel=1e-3)
 
 
-def test_times_of_masks_lie_about_noon():
+def test_times_of_masks_are_centred_on_noon():
     times = mask_times(-117.0)
     assert len(times) == MASK_COUNT
     assert times[MASK_COUNT // 2].isoformat() == "2024-03-21T19:48:00+00:00"
 
 
-def test_answers_that_are_not_certain_do_not_count():
+def test_uncertain_points_do_not_count():
     lit, truth, sure = np.array([1, 1, 0, 0], bool), np.array([1, 0, 0, 1], bool), np.array([1, 1, 1, 0], bool)
     assert wrong_share(lit, truth, sure) == pytest.approx(1 / 3)
 
 
-def test_a_row_that_is_slower_and_worse_than_a_peer_is_told_and_so_is_a_lost_front():
+def test_the_verdict_names_dominated_rows_and_a_lost_front():
     own, better = answer("own", True, 2.0, 1.0), answer("peer", False, 1.0, 0.5)
     lost = question_verdict(comparison(own, better), "hours of a day")
     assert "own by peer (somewhere)" in lost and "peer beats every row (somewhere)" in lost
@@ -117,13 +121,13 @@ def test_a_row_that_is_slower_and_worse_than_a_peer_is_told_and_so_is_a_lost_fro
     assert "More accurate than Skugga's best row: no peer" in saved
 
 
-def test_a_peer_that_is_only_faster_beats_nobody_but_is_named():
+def test_a_peer_that_is_only_faster_is_named():
     said = question_verdict(comparison(answer("own", True, 2.0, 0.1), answer("quick", False, 1.0, 0.5)), "hours of a day")
     assert said.count("no peer is both faster and more accurate") == 3
     assert "Faster by the whole process than Skugga's best row: quick in 1 of 1 cases, up to 1.5 times." in said
 
 
-def test_without_seconds_or_errors_a_tool_has_no_place():
+def test_tools_without_times_or_errors_have_no_rank():
     untimed = SunAnswer("masks", "somewhere", "bound", False, None, 1.0, None, 0.1, None)
     silent = SunAnswer("masks", "somewhere", "casts none", False, None, 1.0, 1.0, None, None)
     found = comparison(untimed, silent, answer("own", True, 1.0, 0.2, "masks"))

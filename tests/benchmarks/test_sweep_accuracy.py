@@ -1,4 +1,6 @@
-"""Truth of a grid's nodes by rays: certain along the higher diagonals, and where the cut is no matter."""
+"""Ray-traced truth at a grid's nodes: exact for the drawn triangulation (higher diagonals), decidable where the cut has no
+effect.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,10 @@ from benchmarks.sweep_speed import mountains
 CELL_M = 10.0
 
 
-def test_what_hangs_on_the_cut_is_certain_as_drawn_alone():
-    """A saddle across the sun's way, 3 m high: along its higher diagonal a ridge that shades four nodes behind it, 57 m / 14 m."""
+def test_nodes_that_depend_on_the_cut_are_not_decidable():
+    """A saddle 3 m high lies across the direction of the sun. Its higher diagonal is a ridge that shades four nodes behind
+    it, 57 m / 14 m.
+    """
     height = np.zeros((24, 24), np.float32)
     height[13, 11] = height[12, 12] = 3.0
     truth = GridRays(height, (CELL_M, CELL_M)).truth(135.0, 3.0)
@@ -24,7 +28,7 @@ def test_what_hangs_on_the_cut_is_certain_as_drawn_alone():
 
 
 @pytest.mark.parametrize("azimuth", [202.0, 113.0])
-def test_the_sweep_is_held_against_what_is_drawn(azimuth):
+def test_the_sweep_is_compared_with_the_drawn_surface(azimuth):
     height = mountains(200)
     raster = Raster("mountains", height, np.ones(height.shape, bool), (CELL_M, CELL_M))
     (figures,) = measure(raster, [(azimuth, 10.0)], 8)

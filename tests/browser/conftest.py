@@ -1,7 +1,7 @@
-"""Debian's Chromium, without a window, before a real service of one bundled level: its own pages, and map clients that read it.
+"""Headless Debian Chromium and a real service of one bundled level, for the service's pages and for map clients.
 
-What is wrong on a page that nobody asked for (an error in its console, a request that fails) fails every test of it. The page of
-a failed test lies in ``tests/output``.
+An unexpected fault on a page (an error in its console, a request that fails) fails every test of it. A picture of the page of a
+failed test lies in ``tests/output``.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ HERE = Path(__file__).parent
 
 CHROMIUM = Path("/usr/bin/chromium")
 IN_SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
-"""Root may have no sandbox; the map is drawn by the same rasteriser on every machine."""
+"""Root cannot use the sandbox. SwiftShader draws the map by the same rasteriser on every machine."""
 
 WINDOW = ViewportSize(width=1280, height=800)
 
 READY_S, DRAWN_S = 180, 90
-"""A render process compiles at its first start; a map takes seconds."""
+"""A render worker compiles at its first start; a map takes seconds."""
 
 STILL = 3
-"""So many pictures in a row that are alike: tiles fade in, and are decoded a moment after they have come."""
+"""Equal pictures in a row that count as still: tiles fade in, and are decoded a moment after they arrive."""
 
 MARGIN_PX = 6
-"""Left off all round: the address of a view is rounded."""
+"""Margin cut off on all sides, because the address rounds its view."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """All tests of this folder need a browser, also one that does not say so."""
+    """Mark every test of this folder as a browser test."""
     for item in items:
         if item.path.is_relative_to(HERE):
             item.add_marker(pytest.mark.browser)
@@ -65,7 +65,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
         name = re.sub("[^A-Za-z0-9_.-]+", "-", item.name)
         for number, watched in enumerate(dict.fromkeys(shown)):
             path = OUTPUT / f"{name}-{number}.png"
-            # A page that is gone has no picture, and that is no other failure.
+            # A closed page has no picture, which is no further failure.
             with suppress(Error):
                 watched.page.screenshot(path=path)
                 report.sections.append(("the page", f"see {path}"))
@@ -73,7 +73,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 
 def missing(what: str) -> NoReturn:
-    """End a test for which something is not there; on CI that is a failure."""
+    """Skip a test whose requirement is missing; fail it on CI."""
     if os.environ.get("CI"):
         pytest.fail(what)
     pytest.skip(what)
@@ -81,13 +81,13 @@ def missing(what: str) -> NoReturn:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What a person sees of the level, and what was asked for to draw it."""
+    """The level's pixels on the page, and the queries of the tiles requested for them."""
 
     pixels: np.ndarray
     """The level's part of the map, (rows, cols, 3) uint8."""
 
     queries: set[tuple[tuple[str, str], ...]]
-    """The queries of the tiles that were asked for since the picture before; none where they were known."""
+    """The queries of tiles requested since the picture before; empty where all were cached."""
 
 
 class Viewer(WatchedPage):
@@ -100,16 +100,16 @@ class Viewer(WatchedPage):
         self._bounds: list[float] | None = bounds.get(LEVEL)
 
     def hide_preparations(self) -> None:
-        """Tell the page that nothing is left to prepare: what the service compiles in the background has a line of its own."""
+        """Answer ``/readyz`` without preparations, which the page would show on a line of their own."""
         self.page.route(re.compile("/readyz$"), lambda route: route.fulfill(json={"status": "ready", "preparing": None}))
 
     def open(self, fragment: str = "") -> Shown:
-        """Open the page, of an address's part after ``#``, and wait for its map."""
+        """Open the page at a URL fragment, including its ``#``, and wait for its map."""
         self.page.goto(f"{self.address}/{fragment}")
         return self.shown()
 
     def settled(self) -> None:
-        """Wait until the map shows what the page is set to, and the address says it."""
+        """Wait until the map and the address match the page's settings."""
         end = time.monotonic() + DRAWN_S
         while True:
             self.check()
@@ -123,7 +123,7 @@ class Viewer(WatchedPage):
                 pytest.fail(f"not drawn after {DRAWN_S} s: {data}, {len(self.waiting)} requests wait")
 
     def shown(self) -> Shown:
-        """The level on the map, once all is there and the picture stands still."""
+        """Return the level on the map, once all tiles are drawn and the picture is still."""
         end = time.monotonic() + DRAWN_S
         before, alike = None, 0
         while alike < STILL:
@@ -138,7 +138,7 @@ class Viewer(WatchedPage):
         return Shown(before, {tuple(sorted(parse_qsl(urlsplit(tile).query))) for tile in tiles})
 
     def place(self) -> FloatRect:
-        """Where the level lies in the window, by the view in the page's address."""
+        """Return the level's rectangle in the window, computed from the view in the page's address."""
         found = re.search(r"map=([\d.]+)/(-?[\d.]+)/(-?[\d.]+)", self.page.url)
         assert found, self.page.url
         zoom, lat, lon = map(float, found.groups())
@@ -153,13 +153,13 @@ class Viewer(WatchedPage):
 
 
 def _down(latitude: float) -> float:
-    """Web Mercator's way south from the equator, as a share of the way round the earth."""
+    """Return the distance south of the equator in Web Mercator, as a fraction of the equator's length."""
     return -math.asinh(math.tan(math.radians(latitude))) / math.tau
 
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Browser]:
-    """The browser."""
+    """Yield the browser."""
     if not CHROMIUM.exists():
         missing(f"there is no {CHROMIUM}: 'make test-browser' installs it, or 'apt-get install chromium'")
     expect.set_options(timeout=1000 * DRAWN_S)
@@ -173,14 +173,14 @@ def chromium() -> Iterator[Browser]:
 
 @pytest.fixture(scope="session")
 def service() -> Iterator[Client]:
-    """A service of the level with one render process that is ready: what is slow then is the page."""
+    """Yield a service of the level whose render worker is ready, so that only the page can be slow."""
     with ready_service([find_level(LEVEL)]) as client:
         yield client
 
 
 @contextmanager
 def ready_service(levels: Sequence[Path]) -> Iterator[Client]:
-    """A service of levels that can draw."""
+    """Yield a client of a service of levels, once it can draw."""
     with running(create_app(Settings(workers=1), list(levels))) as client:
         end = time.monotonic() + READY_S
         while client.get("/readyz").status_code != 200:
@@ -191,24 +191,24 @@ def ready_service(levels: Sequence[Path]) -> Iterator[Client]:
 
 @pytest.fixture
 def make_viewer(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
-    """Makes viewers, not yet opened, in windows of their own: of Playwright's ``new_context``."""
+    """Yield a factory of viewers, not yet opened, in windows of their own; its arguments are those of ``new_context``."""
     with viewers_of(chromium, service) as make:
         yield make
 
 
 @contextmanager
 def viewers_of(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
-    """Makes viewers of a service; what went wrong on one of them fails the test."""
+    """Yield a factory of viewers of a service; a fault on any of them fails the test."""
     if not (STATIC_FOLDER / "index.html").is_file():
         missing("the viewer is not built: 'make viewer' does it")
     with ExitStack() as stack:
 
         def make(**window: Any) -> Viewer:
             context = stack.enter_context(chromium.new_context(**{"viewport": WINDOW, "locale": "en-GB"} | window))
-            # On a busy machine everything takes longer, and nothing is wrong with that.
+            # A busy machine is slow, which is no fault.
             context.set_default_timeout(1000 * DRAWN_S)
             viewer = Viewer(context.new_page(), service)
-            # Called last, and not after a test that failed anyway.
+            # Called last, and only if the test has not failed.
             stack.push(lambda failed, *_: None if failed else viewer.check())
             return viewer
 
@@ -217,13 +217,13 @@ def viewers_of(chromium: Browser, service: Client) -> Iterator[Callable[..., Vie
 
 @pytest.fixture
 def viewer(make_viewer: Callable[..., Viewer]) -> Viewer:
-    """A viewer in a window of its own, not yet opened."""
+    """Return a viewer, not yet opened, in a window of its own."""
     return make_viewer()
 
 
 @pytest.fixture
 def own_page(chromium: Browser, service: Client) -> Iterator[WatchedPage]:
-    """A page that asks the service alone, not yet opened."""
+    """Yield a page, not yet opened, that may request from the service alone."""
     with chromium.new_context(viewport=WINDOW, base_url=str(service.base_url)) as context:
         watched = WatchedPage(context.new_page(), [str(service.base_url)])
         yield watched
@@ -232,7 +232,7 @@ def own_page(chromium: Browser, service: Client) -> Iterator[WatchedPage]:
 
 @pytest.fixture(scope="session")
 def clients_address() -> Iterator[str]:
-    """Where pages with map clients are: not on the service, but as on somebody's own site."""
+    """Yield the address of the pages with map clients, on another server than the service, like a third-party site."""
     lacking = [name for name in LIBRARIES if not (CLIENTS / "node_modules" / name).is_dir()]
     if lacking:
         missing(f"there is no {', '.join(lacking)} in {CLIENTS}: 'make test-browser' installs it")
@@ -242,7 +242,7 @@ def clients_address() -> Iterator[str]:
 
 @pytest.fixture
 def map_client(chromium: Browser, service: Client, clients_address: str) -> Iterator[MapClient]:
-    """A page for a map client, not yet opened."""
+    """Yield a page for a map client, not yet opened."""
     with chromium.new_context(viewport=ViewportSize(width=WINDOW_PX, height=WINDOW_PX)) as context:
         client = MapClient(context.new_page(), service, clients_address)
         yield client

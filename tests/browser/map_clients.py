@@ -1,4 +1,4 @@
-"""Map clients that are not ours on pages that are not the service's, and the pictures that they should show."""
+"""Third-party map clients on pages of another origin, and the pictures that they must show."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ WINDOW_PX = 2 * TILE_PX
 """A window shows the four tiles round a corner, pixel for pixel."""
 
 MERCATOR_M = 6378137.0 * math.pi
-"""Half of the way round the earth in Web Mercator."""
+"""Half of the equator's length in Web Mercator, metres."""
 
 TIMES = "2024-10-21T14:05:00Z", "2024-10-21T21:35:00Z"
-"""A morning and an evening in Tennessee, of those times that the service tells of."""
+"""A morning and an evening in Tennessee, both on the time dimension that the service announces."""
 
 
 class MapClient(WatchedPage):
@@ -53,7 +53,7 @@ class MapClient(WatchedPage):
         self.check()
 
     def run(self, script: str, **arguments: Any) -> Any:
-        """Run a function of JavaScript on the page; it gets one object of the arguments, and what it returns is awaited."""
+        """Call a JavaScript function on the page with one object of the arguments, and return its awaited result."""
         try:
             return self.page.evaluate(script, arguments)
         finally:
@@ -61,17 +61,17 @@ class MapClient(WatchedPage):
 
 
 class QuietFiles(SimpleHTTPRequestHandler):
-    """Serves files without a log."""
+    """A file server without a log."""
 
     def log_message(self, format: str, *args: Any) -> None:
         """Say nothing."""
 
 
 class RangesOfFiles(QuietFiles):
-    """Serves parts of files as object storage does, to pages of any origin: one range of bytes (RFC 9110, section 14)."""
+    """A file server of single byte ranges (RFC 9110, section 14) to pages of any origin, like object storage."""
 
     def do_GET(self) -> None:
-        """Answer with the range that is asked for."""
+        """Answer with the requested range."""
         asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
         if asked is None:
             self.send_error(416)
@@ -90,7 +90,7 @@ class RangesOfFiles(QuietFiles):
 
 @contextmanager
 def served_folder(folder: Path, files: Callable[..., QuietFiles] = QuietFiles) -> Iterator[str]:
-    """The address of a server of a folder's files."""
+    """Serve the files of a folder, and yield the server's address."""
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(files, directory=str(folder))) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
@@ -102,7 +102,7 @@ def served_folder(folder: Path, files: Callable[..., QuietFiles] = QuietFiles) -
 
 
 class OneTile(QuietFiles):
-    """Answers whatever is asked with one picture, to pages of any origin."""
+    """A server that answers every request with one picture, to pages of any origin."""
 
     def __init__(self, *args: Any, picture: bytes, **more: Any) -> None:
         self._picture = picture
@@ -123,15 +123,15 @@ class OneTile(QuietFiles):
 
 @contextmanager
 def served_tiles(picture: bytes) -> Iterator[str]:
-    """The address of somebody else's server of tiles, all of which are one picture."""
+    """Serve one picture as every tile, like a third-party server, and yield its address."""
     with served_folder(CLIENTS, partial(OneTile, picture=picture)) as address:
         yield address
 
 
 class Corner:
-    """A corner of four tiles that lie on the level, in Web Mercator or, where ``tms`` says so, in degrees.
+    """The common corner of four tiles on the level, in Web Mercator or, depending on ``tms``, in degrees.
 
-    Where tiles lie is reckoned here, and not as the service does it or says that it does.
+    Its positions of tiles are computed independently of the service.
     """
 
     def __init__(self, tms: str, zoom: int, lon: float = -84.24, lat: float = 36.31) -> None:
@@ -156,7 +156,7 @@ class Corner:
         return x - half, y - half, x + half, y + half
 
     def tiles(self, service: Client, **query: str) -> np.ndarray:
-        """The four tiles, (rows, cols, 3) uint8."""
+        """Return the four tiles as one picture, (rows, cols, 3) uint8."""
         rows = []
         for row in (self.row - 1, self.row):
             addresses = [f"/levels/{LEVEL}/tiles/{self.tms}/{self.zoom}/{col}/{row}.png" for col in (self.column - 1, self.column)]
@@ -165,7 +165,7 @@ class Corner:
 
 
 def fetched_picture(service: Client, address: str, **query: str) -> np.ndarray:
-    """A picture of the service's that is opaque, (rows, cols, 3) uint8."""
+    """Return a picture of the service, which must be opaque, (rows, cols, 3) uint8."""
     answer = service.get(address, params=query)
     assert answer.status_code == 200, answer.text
     picture = np.asarray(Image.open(BytesIO(answer.content)).convert("RGBA"))
@@ -174,6 +174,6 @@ def fetched_picture(service: Client, address: str, **query: str) -> np.ndarray:
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """By how much each pixel of two pictures differs, in the channel that differs most."""
+    """Return the difference of two pictures at each pixel, in the channel that differs most."""
     assert one.shape == other.shape
     return np.abs(one.astype(int) - other).max(axis=2)

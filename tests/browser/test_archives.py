@@ -1,4 +1,4 @@
-"""MapLibre shows archives of tiles, through the service or from a plain server of files, and npm's reader finds every tile."""
+"""MapLibre shows archives of tiles, through the service or from a plain file server; npm's ``pmtiles`` reads every tile."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ console.log(JSON.stringify({header: await archive.getHeader(), metadata: await a
 
 @pytest.fixture(scope="module")
 def archive(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An archive of what the service draws round the corner, at the corner's zoom and the one before."""
+    """Return an archive of the service's tiles round the corner, at the corner's zoom and the one before."""
     tiles = {}
     for zoom, column, row in (
         *((CORNER.zoom, CORNER.column + across, CORNER.row + down) for across in (-1, 0) for down in (-1, 0)),
@@ -54,7 +54,7 @@ def archive(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def maplibre(map_client: MapClient) -> MapClient:
-    """A map that looks at the corner."""
+    """Return a MapLibre map centred on the corner."""
     map_client.open("maplibre")
     map_client.run(MAPS["MapLibre"].make, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
     return map_client
@@ -62,7 +62,7 @@ def maplibre(map_client: MapClient) -> MapClient:
 
 @pytest.fixture
 def archive_service(archive: Path) -> Iterator[Client]:
-    """A service of the archive alone: it has no render process."""
+    """Yield a service of the archive alone, which has no render worker."""
     with running(create_app(Settings(workers=1), [], archives=[archive])) as client:
         yield client
 
@@ -76,7 +76,7 @@ SHOWN = """async ({url}) => {
 }"""
 
 
-def test_the_service_s_tilejson_of_an_archive(maplibre: MapClient, service: Client, archive_service: Client):
+def test_maplibre_shows_an_archive_by_its_tilejson(maplibre: MapClient, service: Client, archive_service: Client):
     maplibre.allow(str(archive_service.base_url))
     source = maplibre.run(SHOWN, url=f"{archive_service.base_url}/archives/jacksboro/tilejson.json")
     assert source == {"attribution": "nobody", "minzoom": CORNER.zoom - 1, "maxzoom": CORNER.zoom}
@@ -86,8 +86,8 @@ def test_the_service_s_tilejson_of_an_archive(maplibre: MapClient, service: Clie
     assert archive_service.service.pool.pids == set()
 
 
-def test_the_protocol_reads_a_plain_file(maplibre: MapClient, service: Client, archive: Path):
-    """By ranges of a file on a server that knows nothing of tiles."""
+def test_pmtiles_protocol_reads_a_plain_file(maplibre: MapClient, service: Client, archive: Path):
+    """The plugin requests byte ranges from a server that knows nothing of tiles."""
     with served_folder(archive.parent, RangesOfFiles) as address:
         maplibre.allow(address)
         maplibre.page.add_script_tag(url="node_modules/pmtiles/dist/pmtiles.js")
@@ -103,8 +103,8 @@ def test_the_protocol_reads_a_plain_file(maplibre: MapClient, service: Client, a
     assert difference(shown, CORNER.tiles(service)).max() == 0
 
 
-def test_npm_s_reader_finds_every_tile(archive: Path, tmp_path: Path):
-    """Also of an archive with leaf directories and runs, and none where there is none."""
+def test_npm_pmtiles_reads_every_tile(archive: Path, tmp_path: Path):
+    """The second archive has leaf directories and runs; the reader finds no tile where the archive has none."""
     if not (CLIENTS / "node_modules" / "pmtiles").is_dir():
         missing("there is no pmtiles: 'make test-browser' installs it")
     many = tmp_path / "many.pmtiles"

@@ -1,4 +1,4 @@
-"""The interface on ``/docs`` as a person sees it."""
+"""The interactive documentation on ``/docs`` in a browser."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.browser.watched_page import WatchedPage
 WAIT_MS = 60_000
 
 
-def test_its_operations_are_shown_and_can_be_tried(own_page: WatchedPage, service: Client):
+def test_docs_show_and_execute_operations(own_page: WatchedPage, service: Client):
     document = service.get("/openapi.json").json()
     operations = [method for path in document["paths"].values() for method in path]
     own_page.page.goto("/docs")

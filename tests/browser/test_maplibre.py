@@ -1,4 +1,4 @@
-"""MapLibre reads TileJSON as it is, and heights as ground in three dimensions."""
+"""MapLibre reads the service's TileJSON, and its heights as terrain in three dimensions."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from tests.browser.watched_page import WatchedPage
 MAX_ZOOM = 14
 CELLS_PER_DEG = 1200
 TOLD_TO_M = 0.01
-"""The greatest zoom of the level's tiles, the nodes of its raster, and what the service rounds heights of points to."""
+"""The maximum zoom of the level's tiles, the nodes of its raster per degree, and the rounding of heights at points."""
 
 ARITHMETIC_M = 1e-4
-"""What is lost on the way from a longitude to a pixel."""
+"""Rounding error from a longitude to a pixel."""
 
 
 @pytest.fixture
 def maplibre(map_client: MapClient) -> MapClient:
-    """A map that looks at the corner."""
+    """Return a MapLibre map centred on the corner."""
     map_client.open("maplibre")
     map_client.run(MAPS["MapLibre"].make, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
     return map_client
 
 
 @pytest.mark.parametrize("time", TIMES)
-def test_tilejson_is_a_source_of_tiles(maplibre: MapClient, service: Client, time: str):
+def test_maplibre_reads_tilejson(maplibre: MapClient, service: Client, time: str):
     url = f"{maplibre.service_address}/levels/{LEVEL}/WebMercatorQuad/tilejson.json?time={time}"
     source = maplibre.run(
         """async ({url}) => {
@@ -49,7 +49,7 @@ def test_tilejson_is_a_source_of_tiles(maplibre: MapClient, service: Client, tim
 
 
 def pixel_centers() -> list[tuple[float, float]]:
-    """Longitudes and latitudes of some pixels round the corner, at the greatest zoom: there a tile tells a height itself."""
+    """Return longitude and latitude of pixels round the corner, at the maximum zoom, where tiles hold their heights themselves."""
     round_the_earth_px = 256 * 2**MAX_ZOOM
     middle = 256 * 2 ** (MAX_ZOOM - CORNER.zoom) * np.array([CORNER.column, CORNER.row])
     centers = []
@@ -61,7 +61,7 @@ def pixel_centers() -> list[tuple[float, float]]:
 
 
 def heights_of_api(service: Client, points: Sequence[tuple[float, float]]) -> np.ndarray:
-    """What the service says that heights of points are, to a centimetre."""
+    """Return the heights of points from the service, rounded to a centimetre."""
     asked = {"points": [{"lon": lon, "lat": lat} for lon, lat in points]}
     answer = service.post(f"/levels/{LEVEL}/point", json=asked)
     assert answer.status_code == 200, answer.text
@@ -69,8 +69,9 @@ def heights_of_api(service: Client, points: Sequence[tuple[float, float]]) -> np
 
 
 def between_nodes(service: Client, points: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
-    """Heights of points that lie bilinearly between the four nodes of the level's raster round each, and by how much two triangles
-    over the same nodes may differ from that.
+    """Return heights of points, bilinear between the four nodes of the level's raster round each, and a tolerance.
+
+    The tolerance bounds the difference of two triangles over the same nodes from that.
     """
     west, _, _, north = service.get(f"/levels/{LEVEL}").json()["bounds"]
     places = [((lon - west) * CELLS_PER_DEG - 0.5, (north - lat) * CELLS_PER_DEG - 0.5) for lon, lat in points]
@@ -87,11 +88,13 @@ def between_nodes(service: Client, points: Sequence[tuple[float, float]]) -> tup
 
 
 @pytest.mark.parametrize(("encoding", "step_m"), [("terrarium", 1 / 256), ("terrain-rgb", 0.1)])
-def test_heights_are_ground(maplibre: MapClient, service: Client, own_page: WatchedPage, encoding: str, step_m: float):
-    """The page's line, and the encoding that MapLibre expects of a source that names none.
+def test_maplibre_terrain_agrees_with_point_heights(
+    maplibre: MapClient, service: Client, own_page: WatchedPage, encoding: str, step_m: float
+):
+    """Terrarium is the encoding of the page's line; MapLibre expects the other one of a source that names none.
 
-    Tiles lie bilinearly between the nodes of the raster; the ground that casts, which the service tells of points, is made of
-    triangles.
+    Tiles lie bilinearly between the nodes of the raster. Heights of points are those of the ground that casts shadows, which
+    is made of triangles.
     """
     maplibre.run("({center}) => map.jumpTo({center, zoom: 16})", center=CORNER.lon_lat)
     if encoding == "terrarium":

@@ -1,4 +1,4 @@
-"""OpenLayers reads the services of the Open Geospatial Consortium as they are: by their capabilities, with times."""
+"""OpenLayers reads WMS and WMTS by their capabilities, with times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.api.conftest import Client
 from tests.browser.map_clients import LEVEL, TIMES, WINDOW_PX, Corner, MapClient, difference, fetched_picture
 
 CORNERS = [Corner("WebMercatorQuad", 12), Corner("WGS1984Quad", 11)]
-"""In metres, and in degrees, of which the latitude comes first."""
+"""In metres, and in degrees with latitude first."""
 
 SHOW = """() => {
   window.drawn = map => new Promise(resolve => { map.once('rendercomplete', resolve); map.render(); });
@@ -25,29 +25,29 @@ SHOW = """() => {
 
 @pytest.fixture(params=CORNERS, ids=lambda corner: corner.projection)
 def corner(request: pytest.FixtureRequest) -> Corner:
-    """Where the map looks."""
+    """Return the corner that the map is centred on."""
     return request.param
 
 
 @pytest.fixture
 def openlayers(map_client: MapClient) -> MapClient:
-    """The page."""
+    """Return the page of OpenLayers, opened."""
     map_client.open("openlayers")
     map_client.page.evaluate(SHOW)
     return map_client
 
 
 def view_of(corner: Corner) -> dict[str, object]:
-    """A view of the four tiles, pixel for pixel."""
+    """Return a view of the four tiles, pixel for pixel."""
     return {"projection": corner.projection, "center": corner.center, "resolution": corner.resolution}
 
 
 def assert_time_matters(one: np.ndarray, other: np.ndarray) -> None:
-    """Check that two pictures are of different times."""
+    """Assert that two pictures show different times."""
     assert (difference(one, other) > 32).mean() > 0.2
 
 
-def test_wmts_by_its_capabilities(openlayers: MapClient, service: Client, corner: Corner):
+def test_openlayers_reads_wmts_capabilities(openlayers: MapClient, service: Client, corner: Corner):
     dimensions = openlayers.run(
         """async ({address, layer, matrixSet, view}) => {
           const capabilities = new ol.format.WMTSCapabilities().read(await (await fetch(address)).text());
@@ -72,7 +72,7 @@ def test_wmts_by_its_capabilities(openlayers: MapClient, service: Client, corner
     assert_time_matters(*pictures)
 
 
-def test_wms_by_its_capabilities(openlayers: MapClient, service: Client, corner: Corner):
+def test_openlayers_reads_wms_capabilities(openlayers: MapClient, service: Client, corner: Corner):
     times = openlayers.run(
         """async ({address, layer, view}) => {
           const capabilities = new ol.format.WMSCapabilities().read(await (await fetch(address)).text());
@@ -110,8 +110,8 @@ def test_wms_by_its_capabilities(openlayers: MapClient, service: Client, corner:
     assert [float(edge) for edge in asked["BBOX"][0].split(",")[:2]] == pytest.approx(first)
 
 
-def test_legends_are_pictures(openlayers: MapClient):
-    """Those that capabilities name, and the one that OpenLayers asks for by itself."""
+def test_openlayers_shows_the_legends(openlayers: MapClient):
+    """The legends are those that the capabilities name, and the one that OpenLayers requests by itself."""
     legends = openlayers.run(
         """async ({wms, wmts, layer}) => {
           const read = async (format, address) => format.read(await (await fetch(address)).text());

@@ -1,4 +1,4 @@
-"""The lines of a level's page, as they stand there, run by the map clients that they are for."""
+"""Map clients run the lines of a level's page unchanged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CORNER = Corner("WebMercatorQuad", 12)
 
 @dataclass(frozen=True)
 class Library:
-    """How a library makes the ``map`` that the lines speak of, and how it says that all is drawn."""
+    """How a library creates the ``map`` that the lines use, and how it waits until all is drawn."""
 
     page: str
     make: str
@@ -25,7 +25,7 @@ class Library:
 MAPS = {
     "MapLibre": Library(
         "maplibre",
-        # Its zooms are of tiles of 512 pixels.
+        # Its zooms refer to tiles of 512 pixels.
         """({lonLat, zoom}) => {
           window.map = new maplibregl.Map({container: 'map', center: lonLat, zoom: zoom - 1, attributionControl: false,
             fadeDuration: 0, style: {version: 8, sources: {}, layers: []}});
@@ -52,36 +52,36 @@ MAPS = {
 }
 
 FLAT = ["MapLibre", "Leaflet", "OpenLayers", "OpenLayers, by WMTS"]
-"""Headings of lines that show tiles as they are."""
+"""Headings of lines that show flat tiles."""
 
 SOLID = "MapLibre, in three dimensions"
-"""The heading of the line that ``test_maplibre.py`` tries."""
+"""The heading of the line that ``test_maplibre.py`` tests."""
 
 
 def lines_of_page(own_page: WatchedPage) -> dict[str, str]:
-    """The lines of the level's page by their headings, as a person copies them."""
+    """Return the lines of the level's page by heading, as a person copies them."""
     own_page.page.goto(f"/levels/{LEVEL}.html")
     headings = own_page.page.locator("h2").all_inner_texts()
     return dict(zip(headings, own_page.page.locator("pre").all_inner_texts(), strict=True))
 
 
 def run_line(client: MapClient, line: str) -> None:
-    """Run a line on a page of a map client as in a module, where it may await."""
+    """Run a line on a map client's page as in a module, where it may ``await``."""
     client.run("({line}) => new (async () => {}).constructor(line)().then(() => null)", line=line)
 
 
-def test_all_lines_for_pages_are_tried(own_page: WatchedPage):
+def test_all_lines_for_pages_are_tested(own_page: WatchedPage):
     lines = lines_of_page(own_page)
     assert {heading for heading in lines if heading.partition(",")[0] in MAPS} == {*FLAT, SOLID}
 
 
-def test_the_page_has_its_picture(own_page: WatchedPage):
+def test_level_page_shows_its_picture(own_page: WatchedPage):
     own_page.page.goto(f"/levels/{LEVEL}.html", wait_until="load")
     assert own_page.page.locator("img").evaluate("picture => picture.naturalWidth") > 500
 
 
 @pytest.mark.parametrize("heading", FLAT)
-def test_a_line_shows_the_level(own_page: WatchedPage, map_client: MapClient, service: Client, heading: str):
+def test_page_line_shows_the_level(own_page: WatchedPage, map_client: MapClient, service: Client, heading: str):
     line = lines_of_page(own_page)[heading]
     library = MAPS[heading.partition(",")[0]]
     map_client.open(library.page)

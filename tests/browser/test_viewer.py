@@ -1,4 +1,4 @@
-"""What a person sees who opens the viewer and moves the sun."""
+"""The viewer in a browser: opening it, moving the sun, and its address."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ GROUND = 0xE9, 0xE6, 0xDD
 """The map's colour where there is no tile."""
 
 ADDRESS_MS = 1000
-"""The page writes its address when nobody moves anything."""
+"""The page writes its address once no control moves."""
 
 
 def dark_share(pixels: np.ndarray) -> float:
-    """The share of a picture of shadows alone that is in shadow."""
+    """Return the share of a picture of the shadow layer that is dark."""
     return float((pixels.max(axis=2) < 64).mean())
 
 
-def test_it_opens_with_the_level_in_full_view(viewer: Viewer):
+def test_viewer_opens_with_the_whole_level(viewer: Viewer):
     level = viewer.open()
     expect(viewer.page).to_have_title("Jacksboro fault, Tennessee · Skugga")
     assert level.queries == {(("time", "2024-10-21T17:45:00-04:00"),)}
@@ -32,7 +32,7 @@ def test_it_opens_with_the_level_in_full_view(viewer: Viewer):
     assert not (level.pixels == GROUND).all(axis=2).any(), "there is no hole in it"
 
 
-def test_another_time_of_day_moves_the_shadows(viewer: Viewer):
+def test_time_of_day_moves_the_shadows(viewer: Viewer):
     evening = viewer.open()
     time_of_day, sun = viewer.page.get_by_label("Time", exact=True), viewer.page.locator("#sun-words")
     expect(time_of_day).to_have_value("17:45")
@@ -51,7 +51,7 @@ def test_another_time_of_day_moves_the_shadows(viewer: Viewer):
     assert not again.queries, "what has been seen is kept"
 
 
-def test_the_slider_moves_the_shadows(viewer: Viewer):
+def test_time_slider_moves_the_shadows(viewer: Viewer):
     viewer.open()
     slider = viewer.page.get_by_label("Time of day")
     box = slider.bounding_box()
@@ -68,8 +68,8 @@ def test_the_slider_moves_the_shadows(viewer: Viewer):
     expect(viewer.page.locator("#clock")).to_have_value(f"{minutes // 60:02}:{minutes % 60:02}")
 
 
-def test_times_of_the_sun_are_the_services(viewer: Viewer, service: Client):
-    """Of the level's middle; a click on one goes there."""
+def test_sun_times_equal_those_of_the_service(viewer: Viewer, service: Client):
+    """They are those of the level's middle; a click on one sets the time."""
     viewer.open()
     west, south, east, north = next(each["bounds"] for each in service.get("/levels").json() if each["name"] == LEVEL)
     where = {"lon": (west + east) / 2, "lat": (south + north) / 2}
@@ -86,7 +86,7 @@ def test_times_of_the_sun_are_the_services(viewer: Viewer, service: Client):
     expect(viewer.page.locator("#sun-words")).to_contain_text(f"{day['noon_altitude']:.1f}° high")
 
 
-def test_a_lower_sun_casts_more_shadow(viewer: Viewer):
+def test_lower_sun_casts_more_shadow(viewer: Viewer):
     viewer.open()
     viewer.page.get_by_text("Shadows", exact=True).click()
     assert viewer.shown().queries == {(("layer", "shadow"), ("time", "2024-10-21T17:45:00-04:00"))}
@@ -104,8 +104,8 @@ def test_a_lower_sun_casts_more_shadow(viewer: Viewer):
     assert dark[60] < 0.01, "no slope is as steep"
 
 
-def test_all_that_is_set_is_in_the_address(make_viewer: Callable[..., Viewer]):
-    """An address that is sent shows the same elsewhere; on a winter's day the place's clock is that of winter."""
+def test_address_restores_all_settings(make_viewer: Callable[..., Viewer]):
+    """Another viewer at this address shows the same. On a winter's day the local clock is that of winter, -05:00."""
     one, other = make_viewer(), make_viewer()
     one.open()
     one.page.get_by_label("Time", exact=True).fill("16:00")

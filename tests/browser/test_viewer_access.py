@@ -1,4 +1,4 @@
-"""The viewer without a mouse, without sight of it, in little room: keyboard, accessible names (axe), a phone."""
+"""Accessibility of the viewer: keyboard, accessible names (axe), contrast and phones."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ PHONE = {"viewport": ViewportSize(width=390, height=844), "has_touch": True, "is
 
 ACROSS = {"viewport": ViewportSize(width=844, height=390), "has_touch": True, "is_mobile": True}
 SMALL_ACROSS = {"viewport": ViewportSize(width=667, height=375), "has_touch": True, "is_mobile": True}
-"""Phones held across; the second is no wider than some are held upright."""
+"""Phones in landscape; the second is no wider than some phones in portrait."""
 
 GRAVE = {"serious", "critical"}
-"""Of axe's kinds of impact."""
+"""The impacts of axe's violations that fail a test."""
 
 
 def faults(page: Page) -> list[str]:
-    """What axe finds on a page that is grave."""
+    """Return the serious and critical violations that axe finds on a page."""
     if not AXE.is_file():
         missing(f"there is no {AXE}: 'make test-browser' installs it")
-    # As the page's policy allows no script of others, it is run from outside.
+    # The page's policy allows no foreign scripts, so axe is evaluated from outside.
     page.evaluate(AXE.read_text())
     found = page.evaluate("() => axe.run(document, {resultTypes: ['violations']})")["violations"]
     return [
@@ -41,7 +41,7 @@ def faults(page: Page) -> list[str]:
 
 
 @pytest.mark.parametrize("colors", ["light", "dark"])
-def test_axe_finds_nothing_grave(make_viewer: Callable[..., Viewer], colors: str):
+def test_axe_finds_no_serious_violation(make_viewer: Callable[..., Viewer], colors: str):
     viewer = make_viewer(color_scheme=colors)
     viewer.open()
     for panel in viewer.page.get_by_role("tab").all():
@@ -53,15 +53,15 @@ def test_axe_finds_nothing_grave(make_viewer: Callable[..., Viewer], colors: str
     assert not faults(viewer.page)
 
 
-def test_axe_finds_a_fault(viewer: Viewer):
-    """It is not blind."""
+def test_axe_finds_a_removed_label(viewer: Viewer):
+    """This proves that the other tests can fail."""
     viewer.open()
     viewer.page.evaluate("() => document.getElementById('minutes').removeAttribute('aria-label')")
     assert any("label" in each for each in faults(viewer.page))
 
 
-def test_all_of_it_by_keyboard(viewer: Viewer):
-    """Everything is reached by Tab and can be seen to have the focus; arrows move the sun; space plays the day."""
+def test_viewer_works_by_keyboard(viewer: Viewer):
+    """Tab reaches every control with a visible focus; arrows move the sun; space plays the day."""
     viewer.open()
     reached: list[str] = []
     for _ in range(60):
@@ -91,8 +91,8 @@ def test_all_of_it_by_keyboard(viewer: Viewer):
     expect(viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
 
 
-def test_values_are_spoken(viewer: Viewer):
-    """What a screen reader says of the sliders, and of where the sun stands."""
+def test_values_have_texts_for_screen_readers(viewer: Viewer):
+    """The texts are those of the sliders and of the sun's direction."""
     viewer.open()
     expect(viewer.page.get_by_role("slider", name="Time of day")).to_have_attribute("aria-valuetext", "17:45")
     expect(viewer.page.get_by_role("slider", name="Day of the year")).to_have_attribute("aria-valuetext", "21 October 2024")
@@ -101,8 +101,8 @@ def test_values_are_spoken(viewer: Viewer):
     expect(viewer.page.get_by_role("slider", name="Azimuth, clockwise from north")).to_have_attribute("aria-valuetext", "315° · NW")
 
 
-def test_a_phone_has_a_sheet(make_viewer: Callable[..., Viewer]):
-    """The map is free until the sheet is brought up; nothing is wider than the screen."""
+def test_phone_panel_is_a_sheet(make_viewer: Callable[..., Viewer]):
+    """The map is free until the sheet is opened, and nothing is wider than the screen."""
     viewer = make_viewer(**PHONE)
     viewer.page.goto(viewer.address)
     viewer.settled()
@@ -125,8 +125,8 @@ def test_a_phone_has_a_sheet(make_viewer: Callable[..., Viewer]):
     assert len(np.unique(level.reshape(-1, 3), axis=0)) > 5000
 
 
-def test_colours_can_be_chosen(viewer: Viewer):
-    """Light, dark, as the system has it; in the address, too."""
+def test_color_theme_can_be_chosen(viewer: Viewer):
+    """Light, dark, or the system's theme; the address keeps the choice."""
     viewer.open()
     corner = viewer.pixels()[700, 100].astype(int).sum()
     viewer.page.get_by_role("button", name="Colours: as the system").click()
@@ -140,8 +140,8 @@ def test_colours_can_be_chosen(viewer: Viewer):
 
 
 @pytest.mark.parametrize("window", [ACROSS, SMALL_ACROSS], ids=["wide", "small"])
-def test_phone_held_across_keeps_its_map(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
-    """Dock and panel leave most of the window to the map, on which all of the level is seen; the panel is a drawer."""
+def test_landscape_phone_keeps_its_map(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
+    """Dock and panel leave most of the window to the map, which shows all of the level; the panel is a drawer."""
     viewer = make_viewer(**window)
     viewer.hide_preparations()
     viewer.page.goto(viewer.address)
@@ -174,8 +174,8 @@ def test_phone_held_across_keeps_its_map(make_viewer: Callable[..., Viewer], win
 
 @pytest.mark.parametrize("window", [PHONE, ACROSS], ids=["upright", "across"])
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
-def test_place_that_is_tapped_stays_in_sight(make_viewer: Callable[..., Viewer], window: dict[str, Any], share: float):
-    """The panel that answers does not lie over it, however much it finds to say."""
+def test_tapped_place_stays_visible(make_viewer: Callable[..., Viewer], window: dict[str, Any], share: float):
+    """The panel with the answer does not cover it, however long its text is."""
     viewer = make_viewer(**window)
     viewer.hide_preparations()
     viewer.page.goto(viewer.address)
@@ -194,8 +194,8 @@ def test_place_that_is_tapped_stays_in_sight(make_viewer: Callable[..., Viewer],
 
 
 @pytest.mark.parametrize("colors", ["light", "dark"])
-def test_shadow_night_and_sun_can_be_told_apart(make_viewer: Callable[..., Viewer], colors: str):
-    """Side by side in the bar of a day, by their contrast (WCAG 2, 1.4.11: 3 to 1), and night from the panel by its edge."""
+def test_day_bar_colors_have_contrast(make_viewer: Callable[..., Viewer], colors: str):
+    """Night, shadow and sun differ by their contrast (WCAG 2, 1.4.11: 3 to 1); an edge separates night from the panel."""
     viewer = make_viewer(color_scheme=colors)
     viewer.hide_preparations()
     viewer.open("#point=-84.25,36.3&panel=point")
@@ -209,7 +209,7 @@ def test_shadow_night_and_sun_can_be_told_apart(make_viewer: Callable[..., Viewe
 
 
 def _luminance(part: Locator) -> float:
-    """WCAG's relative luminance of a part's background."""
+    """Return WCAG's relative luminance of an element's background."""
     said = part.evaluate("each => getComputedStyle(each).backgroundColor")
     srgb = np.array([int(each) for each in re.findall(r"\d+", said)[:3]]) / 255
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

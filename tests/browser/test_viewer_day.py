@@ -1,4 +1,4 @@
-"""The viewer plays a day. Tiles are made up here, of one grey for each time, so that each picture can be told from every other."""
+"""The viewer plays a day. Fake tiles have one grey for each time, so that a picture shows its time."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from tests.browser.test_viewer_access import faults
 
 DATE = "2024-12-21"
 FIRST, LAST = 8 * 60 - 10, 18 * 60
-"""Steps of the day lie between these, in minutes by the clock of -05:00."""
+"""The day's steps lie between these, in minutes by the clock of -05:00."""
 
 NEAR = 3
-"""Of 255: what colours may lose on their way to the screen."""
+"""Tolerance of colours on the screen, of 255."""
 
 
 def grey(minutes: int) -> int:
-    """The colour of a time's tiles: from 40 to 160, far from the ground's."""
+    """Return the grey of a time's tiles, from 40 to 160, far from the ground's colour."""
     return 40 + round((minutes - FIRST) / 5)
 
 
 class MadeUpDay:
-    """A viewer whose tiles are of one grey for each time."""
+    """A viewer whose fake tiles have one grey for each time."""
 
     def __init__(self, viewer: Viewer) -> None:
         self.viewer, self.asked = viewer, []
         self.broken = False
         self.held: list[Route] | None = None
-        """Requests that wait for an answer; None: none has to."""
+        """Requests that are held back; None: requests are answered at once."""
         viewer.page.route(re.compile("/tiles/"), self._answer)
 
     def open(self, minutes: int) -> None:
@@ -46,29 +46,29 @@ class MadeUpDay:
         expect(self.viewer.page.locator(".marks b").first).to_be_visible()
 
     def play(self) -> None:
-        """Press the button."""
+        """Press the play button."""
         self.viewer.page.get_by_role("button", name="Play the day").click()
 
     @property
     def minutes(self) -> int:
-        """The time that the page tells."""
+        """The time of day that the page shows."""
         return int(self.viewer.page.locator("#minutes").input_value())
 
     def picture(self) -> np.ndarray:
-        """The level as it is seen now, (rows, cols) uint8, of a page whose colours there are grey."""
+        """Return the level's greys on the page, (rows, cols) uint8."""
         pixels = self.viewer.pixels(self.viewer.place())
         assert int(np.ptp(pixels.astype(int), axis=2).max()) <= NEAR, "that is no tile"
         return pixels[..., 0]
 
     def after(self, minutes: int) -> None:
-        """Wait until the page tells of a time past one, on the same day."""
+        """Wait until the page shows a later time of the same day."""
         self.viewer.page.wait_for_function("least => Number(document.getElementById('minutes').value) > least", arg=minutes)
 
     def release(self) -> None:
-        """Answer what waits, and what comes."""
+        """Answer the held requests, and later ones at once."""
         held, self.held = self.held or [], None
         for route in held:
-            with suppress(Error):  # nobody wants it any more
+            with suppress(Error):  # the page has cancelled it
                 self._answer(route)
 
     def _answer(self, route: Route) -> None:
@@ -88,7 +88,7 @@ class MadeUpDay:
 
 @pytest.fixture
 def day(viewer: Viewer) -> MadeUpDay:
-    """A made-up day in a window, not yet opened."""
+    """Return a day of fake tiles in a window, not yet opened."""
     return MadeUpDay(viewer)
 
 
@@ -104,24 +104,24 @@ LOOK = """({x, y, width, height}) => {
   };
   requestAnimationFrame(look);
 }"""
-"""Looks at the map's part of the level in every frame: the darkest and the brightest channel of 64 places."""
+"""Record in every frame the darkest and the brightest channel of 64 places on the level."""
 
 
-def test_no_frame_is_blank(day: MadeUpDay):
-    """Each picture is whole, of a time or between two, and the day goes on; what was seen is not asked for again."""
+def test_played_day_has_no_blank_frame(day: MadeUpDay):
+    """Each frame is whole, of one time or blended from two, and time advances. No tile is requested twice."""
     day.open(9 * 60)
     day.viewer.page.evaluate(LOOK, day.viewer.place())
     day.play()
     day.after(16 * 60 + 30)
     frames = np.array(day.viewer.page.evaluate("() => window.looks"))
     assert np.ptp(frames, axis=1).max() <= NEAR, "the ground, or two times at once"
-    # The map below the day's pictures has the time that it began with: where they are not there, that is seen.
+    # The map below the day's pictures shows the starting time, so a missing picture would be seen.
     assert np.diff(frames[:, 0]).min() >= -NEAR, "back to an earlier time"
     assert grey(9 * 60) - NEAR <= frames.min() and frames.max() <= grey(LAST) + NEAR
     assert len(np.unique(frames[:, 0])) > 40, "each step is seen"
     expect(day.viewer.page.locator("#sun-words")).to_contain_text("high")
 
-    # The next round: what comes before the time that this one began with is new, and nothing after it.
+    # In the next round only the times before the start of this one are new.
     day.viewer.page.wait_for_function("() => Number(document.getElementById('minutes').value) < 600")
     day.after(9 * 60)
     asked = len(day.asked)
@@ -134,7 +134,7 @@ def test_no_frame_is_blank(day: MadeUpDay):
     assert abs(int(day.picture().max()) - grey(day.minutes)) <= NEAR, "it stays where it was paused"
 
 
-def test_a_moved_map_goes_on(day: MadeUpDay):
+def test_day_goes_on_after_the_map_moves(day: MadeUpDay):
     day.open(9 * 60)
     day.play()
     day.after(9 * 60 + 20)
@@ -145,7 +145,7 @@ def test_a_moved_map_goes_on(day: MadeUpDay):
     assert grey(FIRST) <= middle.max() <= grey(LAST)
 
 
-def test_a_hidden_page_pauses(day: MadeUpDay):
+def test_hidden_page_pauses_the_day(day: MadeUpDay):
     day.open(9 * 60)
     day.play()
     day.after(9 * 60 + 20)
@@ -154,7 +154,7 @@ def test_a_hidden_page_pauses(day: MadeUpDay):
       document.dispatchEvent(new Event('visibilitychange'));
     }"""
     day.viewer.page.evaluate(hide, True)
-    day.viewer.page.wait_for_timeout(500)  # a step that had begun
+    day.viewer.page.wait_for_timeout(500)  # a step in progress ends
     paused = day.minutes
     day.viewer.page.wait_for_timeout(1500)
     assert day.minutes == paused
@@ -173,7 +173,7 @@ def test_reduced_motion_does_not_fade(make_viewer: Callable[..., Viewer]):
     day.after(9 * 60)
 
 
-def test_whoever_moves_the_sun_stops_the_day(day: MadeUpDay):
+def test_moving_the_sun_stops_the_day(day: MadeUpDay):
     day.open(9 * 60)
     day.play()
     day.after(9 * 60 + 10)
@@ -184,8 +184,8 @@ def test_whoever_moves_the_sun_stops_the_day(day: MadeUpDay):
     assert abs(int(day.picture().max()) - grey(12 * 60)) <= NEAR
 
 
-def test_day_that_waits_says_for_what_and_can_be_stopped(day: MadeUpDay):
-    """In tiles and pictures; what is wanted now is asked for before what comes later, and after a stop nothing more."""
+def test_waiting_day_shows_progress_and_can_be_stopped(day: MadeUpDay):
+    """Progress counts tiles and pictures. The next picture is requested first, and nothing after a stop."""
     day.viewer.hide_preparations()
     day.open(9 * 60 + 5)
     day.held = []
@@ -210,8 +210,8 @@ def test_day_that_waits_says_for_what_and_can_be_stopped(day: MadeUpDay):
     expect(status).to_be_hidden()
 
 
-def test_day_begins_once_its_sunrise_is_known(day: MadeUpDay):
-    """Whoever plays before that is told so, and can stop."""
+def test_day_begins_once_the_sunrise_is_known(day: MadeUpDay):
+    """Until then the page says so, and the day can be stopped."""
     waiting: list[Route] = []
     day.viewer.hide_preparations()
     day.viewer.page.route(re.compile("/point[?]"), lambda route: waiting.append(route))
@@ -230,7 +230,7 @@ def test_day_begins_once_its_sunrise_is_known(day: MadeUpDay):
     day.after(9 * 60 + 10)
 
 
-def test_a_day_that_fails_says_so(day: MadeUpDay):
+def test_failed_day_shows_the_error(day: MadeUpDay):
     day.open(9 * 60)
     day.viewer.forgiven = re.compile("500")
     day.broken = True

@@ -1,4 +1,4 @@
-"""What a person does on the viewer's panels: asks at a point, looks at views, compares, reads the plan, takes the map away."""
+"""The viewer's panels: reports at a point, views, comparisons, the plan, and exports of the map."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ EYE, TARGET = "-84.26,36.29,300", "-84.24,36.32,0"
 ANSWER_MS = 60_000
 
 LEFT_PX = 400
-"""Of what is looked at of the map: right of the panel."""
+"""Left edge of the compared part of the map, right of the panel."""
 
 COVERED_PX = 364
-"""Of the map lie under the panel: the divider goes over the rest."""
+"""Width of the map under the panel; the divider moves over the rest."""
 
 LIGHTS = {True: "In the sun", False: "In shadow"}
 
 
 def opened(viewer: Viewer, panel: str, **own: str) -> Viewer:
-    """The viewer with a panel open, as an address that somebody sent has it."""
+    """Open the viewer at an address with a panel open, and return it."""
     parts = "".join(f"&{name}={value}" for name, value in own.items())
     viewer.open(f"#level={LEVEL}&time={TIME}&panel={panel}{parts}")
     return viewer
@@ -51,7 +51,7 @@ def point_of(service: Client, lon_lat: str, time: str = TIME, **asked: str) -> d
 
 
 def instants(viewer: Viewer, where: str) -> list[str]:
-    """The exact moments that a part of the page tells, as its elements of time have them."""
+    """Return the instants in the ``time`` elements of a part of the page."""
     return viewer.page.locator(f"{where} time").evaluate_all("found => found.map(each => each.dateTime)")
 
 
@@ -60,7 +60,7 @@ def told_intervals(viewer: Viewer) -> list[tuple[str, str]]:
     return list(zip(times[::2], times[1::2], strict=True))
 
 
-def test_a_click_answers_with_the_services_own_intervals(viewer: Viewer, service: Client):
+def test_click_shows_the_intervals_of_the_service(viewer: Viewer, service: Client):
     viewer.open(f"#level={LEVEL}&time={TIME}")
     viewer.page.mouse.click(820, 300)
     expect(viewer.page.locator(".light")).to_be_visible(timeout=ANSWER_MS)
@@ -87,7 +87,7 @@ def test_a_click_answers_with_the_services_own_intervals(viewer: Viewer, service
     assert not faults(viewer.page)
 
 
-def test_the_horizon_and_the_suns_path_are_the_services(viewer: Viewer, service: Client):
+def test_sky_drawing_equals_the_sky_of_the_service(viewer: Viewer, service: Client):
     opened(viewer, "point", point=POINT)
     lon, lat = POINT.split(",")
     sky = service.get(f"/levels/{LEVEL}/point/sun.json", params={"lon": lon, "lat": lat, "time": TIME}).json()
@@ -106,7 +106,7 @@ def test_the_horizon_and_the_suns_path_are_the_services(viewer: Viewer, service:
     assert drawn == len(sky["path"]) + changes, "each run reaches to where the next begins"
 
 
-def test_another_time_asks_anew_by_keyboard_alone(viewer: Viewer, service: Client):
+def test_point_by_keyboard_follows_the_time(viewer: Viewer, service: Client):
     opened(viewer, "point")
     viewer.page.get_by_role("tab", name="Point").focus()
     for _ in range(4):
@@ -126,12 +126,12 @@ def test_another_time_asks_anew_by_keyboard_alone(viewer: Viewer, service: Clien
     expect(light).to_contain_text(LIGHTS[now["lit"]])
 
 
-def test_off_the_data_the_service_says_so(viewer: Viewer):
+def test_point_off_the_data_shows_the_remark(viewer: Viewer):
     opened(viewer, "point", point="-83.9,36.3")
     expect(viewer.page.locator(".point-answer .fail")).to_contain_text("No ground here", timeout=ANSWER_MS)
 
 
-def test_views_are_shown_small_and_whole(viewer: Viewer):
+def test_views_open_from_their_thumbnails(viewer: Viewer):
     opened(viewer, "views")
     view = viewer.page.get_by_role("button", name="Map", exact=True)
     expect(view.locator("img")).to_be_visible(timeout=ANSWER_MS)
@@ -149,8 +149,8 @@ def test_views_are_shown_small_and_whole(viewer: Viewer):
     expect(view).to_be_focused()
 
 
-def test_a_view_of_ones_own(viewer: Viewer, service: Client):
-    """It is what the service draws of its lines, and a level file that has them is right."""
+def test_custom_view_equals_the_services_snapshot(viewer: Viewer, service: Client):
+    """The preview equals the service's snapshot, and its lines are valid in a level file."""
     import yaml
 
     opened(viewer, "views", **{"views-eye": EYE, "views-target": TARGET, "views-fov": "40"})
@@ -181,8 +181,8 @@ def test_a_view_of_ones_own(viewer: Viewer, service: Client):
     assert "&point=" not in viewer.page.url, "that click was the view's"
 
 
-def test_two_times_side_by_side(viewer: Viewer):
-    """Left of the divider the map is as it was, right of it as it is at the other time; keys move the divider."""
+def test_comparison_shows_two_times(viewer: Viewer):
+    """The map is unchanged left of the divider, and shows the other time right of it; keys move the divider."""
     opened(viewer, "compare")
     own = _picture(viewer)
     viewer.page.get_by_label("Compare with another").select_option("time")
@@ -207,8 +207,8 @@ def test_two_times_side_by_side(viewer: Viewer):
     expect(viewer.page).not_to_have_url(re.compile("&compare"))
 
 
-def test_two_algorithms_side_by_side(viewer: Viewer):
-    """Both sides can be chosen; each asks for its own tiles."""
+def test_comparison_shows_two_algorithms(viewer: Viewer):
+    """Each side has its own algorithm and requests its own tiles."""
     opened(viewer, "compare", compare="algorithm:none")
     viewer.page.get_by_label("On the left").select_option("sweep")
     viewer.shown()
@@ -227,7 +227,7 @@ def test_two_algorithms_side_by_side(viewer: Viewer):
     expect(slider).to_have_attribute("aria-valuenow", "59")
 
 
-def test_the_plan_says_why(viewer: Viewer):
+def test_plan_panel_explains_and_sets_the_algorithm(viewer: Viewer):
     opened(viewer, "plan")
     plan = viewer.page.locator(".plan")
     expect(plan.get_by_text("Shadows of ridges, houses and trees")).to_be_visible(timeout=ANSWER_MS)
@@ -241,8 +241,8 @@ def test_the_plan_says_why(viewer: Viewer):
     assert not faults(viewer.page)
 
 
-def test_plan_leaves_measuring_to_the_service(viewer: Viewer):
-    """Where it measures its device by itself nobody is sent to a command line; and no file is cited that cannot be followed."""
+def test_plan_panel_leaves_calibration_to_the_service(viewer: Viewer):
+    """A service that calibrates itself needs no command of the user. The panel cites no file that a user cannot open."""
     states = ["running"]
     viewer.page.route(
         re.compile("/readyz$"), lambda route: route.fulfill(json={"status": "ready", "preparing": None, "calibration": states[-1]})
@@ -261,7 +261,7 @@ def test_plan_leaves_measuring_to_the_service(viewer: Viewer):
     expect(cost).to_contain_text("run skugga calibrate", timeout=ANSWER_MS)
 
 
-def test_layers_in_between_can_be_looked_at(viewer: Viewer):
+def test_intermediate_layers_can_be_shown(viewer: Viewer):
     opened(viewer, "plan", **{"plan-algorithm": "shadow_map"})
     viewer.page.get_by_text("Layers in between").click()
     viewer.page.locator("#between-layer").select_option("shadow-map")
@@ -269,8 +269,8 @@ def test_layers_in_between_can_be_looked_at(viewer: Viewer):
     expect(viewer.page.get_by_role("dialog").locator("img")).to_be_visible(timeout=ANSWER_MS)
 
 
-def test_what_is_seen_can_be_saved(viewer: Viewer):
-    """As a picture, and as a GeoTIFF that lies where the map does."""
+def test_map_can_be_saved(viewer: Viewer):
+    """As a picture, and as a GeoTIFF with the bounds of the map."""
     opened(viewer, "use")
     for name, suffix in (("PNG picture", "png"), ("GeoTIFF", "tif")):
         with viewer.page.expect_download(timeout=ANSWER_MS) as saved:
@@ -289,7 +289,7 @@ def test_what_is_seen_can_be_saved(viewer: Viewer):
     expect(viewer.page.get_by_text("Saved.")).to_be_visible()
 
 
-def test_lines_for_other_maps_are_the_services(viewer: Viewer, service: Client):
+def test_client_lines_equal_those_of_the_service(viewer: Viewer, service: Client):
     opened(viewer, "use")
     lines = service.get(f"/levels/{LEVEL}/lines.json", params={"time": TIME}).json()
     for each in lines:
@@ -300,8 +300,8 @@ def test_lines_for_other_maps_are_the_services(viewer: Viewer, service: Client):
     assert not faults(viewer.page)
 
 
-def test_modules_by_themselves():
-    """The tests of the viewer's own modules, in Node."""
+def test_viewer_modules_pass_their_own_tests():
+    """Node runs the tests of the viewer's modules."""
     if not (MODULES / "node_modules").is_dir() or not NODE.exists():
         missing("the viewer's modules are not installed: 'make viewer' does it")
     done = subprocess.run(
@@ -311,7 +311,7 @@ def test_modules_by_themselves():
 
 
 def _picture(viewer: Viewer) -> np.ndarray:
-    """The map between the panel and the controls, over the dock, once it stands still."""
+    """Return the map between the panel and the controls, above the dock, once it is still."""
     viewer.shown()
     return viewer.pixels(FloatRect(x=LEFT_PX, y=60, width=800, height=400))
 

@@ -1,4 +1,4 @@
-"""The viewer as it looks, at half its size: light, dark, on a phone. Fonts are the machine's, so letters may differ."""
+"""Golden pictures of the viewer at half its size: light, dark, on a phone. Fonts are the machine's, so letters may differ."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.browser.test_viewer_access import PHONE
 from tests.golden import assert_golden
 
 TOLERANCE, MAX_OFF = 24, 0.02
-"""Letters are less than this of the page; a panel that is elsewhere, or a shadow, is more."""
+"""Letters cover less of the page than this; a panel that has moved, or a shadow, covers more."""
 
 PAGES = {
     "light": ({}, ""),
@@ -24,7 +24,7 @@ PAGES = {
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_it_looks_as_it_did(make_viewer: Callable[..., Viewer], request: pytest.FixtureRequest, name: str):
+def test_viewer_equals_its_golden_picture(make_viewer: Callable[..., Viewer], request: pytest.FixtureRequest, name: str):
     window, fragment = PAGES[name]
     viewer = make_viewer(viewport=WINDOW, reduced_motion="reduce") if not window else make_viewer(reduced_motion="reduce", **window)
     viewer.hide_preparations()

@@ -1,4 +1,4 @@
-"""The viewer of levels of all kinds: scenes without a place on the earth, and rasters that say nothing of a sun."""
+"""The viewer of scenes and rasters that are not georeferenced, and of rasters without a sun."""
 
 from __future__ import annotations
 
@@ -22,13 +22,15 @@ STREET, LAMPS = "thesis_street_sun", "thesis_boxgrid"
 EVENING = "2026-06-21T20:00:00Z"
 
 LEFT_PX = 400
-"""Of what is looked at: right of the panel."""
+"""Left edge of the examined part of the map, right of the panel."""
 
 
 @pytest.fixture(scope="session")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    """A service of ``bare``, a raster without a sun; ``directed``, whose file has one in a direction; ``site``, a raster that is
-    not georeferenced; and two scenes, of which one is lit by a lamp alone.
+    """Yield a service of five levels.
+
+    ``bare`` is a raster without a sun, ``directed`` has a sun by direction, and ``site`` is a raster that is not georeferenced.
+    Of two scenes, one is lit by a lamp alone.
     """
     folder: Path = tmp_path_factory.mktemp("places")
     levels = [write_level(folder, "bare", sun=None), write_level(folder, "directed"), write_level(folder, "site", ENGINEERING)]
@@ -38,19 +40,19 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
 
 @pytest.fixture
 def make_places(chromium: Browser, places: Client) -> Iterator[Callable[..., Viewer]]:
-    """Makes viewers of that service."""
+    """Yield a factory of viewers of the service ``places``."""
     with viewers_of(chromium, places) as make:
         yield make
 
 
 @pytest.fixture
 def place(make_places: Callable[..., Viewer]) -> Viewer:
-    """A viewer of that service."""
+    """Return a viewer of the service ``places``."""
     return make_places()
 
 
 def opened(viewer: Viewer, fragment: str) -> Viewer:
-    """The viewer at an address, once all is drawn."""
+    """Open the viewer at a URL fragment, wait until all is drawn, and return it."""
     viewer.hide_preparations()
     viewer.page.goto(f"{viewer.address}/{fragment}")
     viewer.settled()
@@ -58,20 +60,20 @@ def opened(viewer: Viewer, fragment: str) -> Viewer:
 
 
 def snapshots(viewer: Viewer) -> list[dict[str, list[str]]]:
-    """What was asked of whole views so far, without the small ones of the panel."""
+    """Return the queries of all full-size snapshots so far, without the panel's thumbnails."""
     asked = [each for each in viewer.asked if "/snapshot.png" in each]
     return [parse_qs(urlsplit(each).query) for each in asked]
 
 
 def colors(viewer: Viewer) -> int:
-    """How many colours the picture on the stage has."""
+    """Return how many colours the picture on the stage has."""
     box = viewer.page.locator("#stage .shot img").bounding_box()
     assert box is not None
     return len(np.unique(viewer.pixels(box).reshape(-1, 3), axis=0))
 
 
-def test_scene_without_a_place_shows_its_views(place: Viewer):
-    """It can be chosen, says why there is no map, and its views are drawn under the sun of the sliders."""
+def test_scene_without_a_georeference_shows_its_views(place: Viewer):
+    """It can be chosen and explains why it has no map; the sliders' sun lights its views."""
     opened(place, "#level=bare")
     level = place.page.get_by_label("Level", exact=True)
     expect(level.locator("optgroup")).to_have_attribute("label", "Without a map: pictures of their views")
@@ -115,8 +117,8 @@ def test_scene_of_lamps_needs_no_sun(place: Viewer):
     assert colors(place) > 500
 
 
-def test_raster_that_is_not_georeferenced_is_seen_from_above(make_places: Callable[..., Viewer]):
-    """Also where it is all that a phone has room for."""
+def test_raster_without_a_georeference_shows_its_map_view(make_places: Callable[..., Viewer]):
+    """The view fits on a phone, too."""
     viewer = opened(make_places(**PHONE), "#level=site&time=2024-06-21T12:00:00Z")
     (only,) = snapshots(viewer)
     assert only["view"] == ["map"]
@@ -127,7 +129,7 @@ def test_raster_that_is_not_georeferenced_is_seen_from_above(make_places: Callab
     assert box["width"] > 350 and box["height"] > 300 and box["y"] + box["height"] <= dock["y"]
 
 
-def test_scene_that_fails_says_so(place: Viewer):
+def test_failed_scene_shows_the_error(place: Viewer):
     place.forgiven = re.compile("500")
     place.page.route(re.compile("/snapshot"), lambda route: route.fulfill(status=500, json={"detail": "The worker is gone."}))
     place.page.goto(f"{place.address}/#level={LAMPS}")
@@ -140,8 +142,8 @@ def test_scene_that_fails_says_so(place: Viewer):
     assert colors(place) > 500
 
 
-def test_raster_without_a_sun_opens_this_morning(place: Viewer, places: Client):
-    """By the clock of its place, under a sun as low as the service would choose, with date, play and the day's curve."""
+def test_raster_without_a_sun_opens_in_the_morning(place: Viewer, places: Client):
+    """By the local clock, under a sun as low as the service's default, with date, play and the day's curve."""
     place.page.clock.set_fixed_time(EVENING)
     opened(place, "#level=bare")
     page = place.page
@@ -170,7 +172,7 @@ def test_raster_without_a_sun_opens_this_morning(place: Viewer, places: Client):
     expect(page.locator("#offset")).to_have_value("+00:00")  # a clock that was chosen stays
 
 
-def test_sun_that_a_level_names_by_direction_stays(place: Viewer):
+def test_sun_by_direction_of_a_level_is_kept(place: Viewer):
     opened(place, "#level=directed")
     expect(place.page.get_by_label("Azimuth, clockwise from north")).to_have_value("250")
     expect(place.page.locator("#play")).to_be_hidden()

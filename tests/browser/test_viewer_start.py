@@ -1,4 +1,4 @@
-"""The viewer before the service can draw: what it says and asks, and how it comes alive; ``/readyz`` is the test's own."""
+"""The viewer while the service starts: progress, polling and recovery. The tests answer ``/readyz`` themselves."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ TILES = "compiling loops for map tiles"
 HOURS = "compiling loops for hours of sun"
 
 UNDRAWN = re.compile(r"^/($|assets/|levels$|readyz$|openapi\.json$|levels/[^/]+/(lines\.json|WebMercatorQuad/tilejson\.json)\?)")
-"""Paths that are answered without anything drawn."""
+"""Paths whose answers need no rendering."""
 
 EVENING = f"level={LEVEL}&time=2024-10-21T16:20:00-04:00"
 
 
 class ServiceReadiness:
-    """What ``/readyz`` answers to a page, and when it was asked."""
+    """The answers of ``/readyz`` to a page, and the times of its requests."""
 
     def __init__(self, page: Page) -> None:
         self.times: list[float] = []
@@ -34,7 +34,7 @@ class ServiceReadiness:
         page.route(re.compile("/readyz$"), self._answer)
 
     def starting(self, task: str | None = None, done: int = 0, total: int = 0) -> None:
-        """Nothing can be drawn yet."""
+        """Answer that nothing can be drawn yet."""
         problem = {"type": "about:blank", "title": "Service Unavailable", "status": 503, "detail": "No render process is ready."}
         elapsed = {} if self.elapsed_s is None else {"elapsed_s": self.elapsed_s}
         preparing = _preparing(task, done, total)
@@ -42,15 +42,15 @@ class ServiceReadiness:
         self._reply = {"status": 503, "content_type": "application/problem+json", "json": body}
 
     def ready(self, task: str | None = None, done: int = 0, total: int = 0) -> None:
-        """Tiles can be drawn; what is left is prepared in the background."""
+        """Answer that tiles can be drawn; the task is prepared in the background."""
         self._reply = {"status": 200, "json": {"status": "ready", "preparing": _preparing(task, done, total)}}
 
     def hidden(self) -> None:
-        """A proxy does not pass the address on."""
+        """Answer 404, like a proxy that does not forward the address."""
         self._reply = {"status": 404, "body": "not here"}
 
     def unreachable(self) -> None:
-        """Nobody answers."""
+        """Refuse connections."""
         self._reply = None
 
     def _answer(self, route: Route) -> None:
@@ -67,7 +67,7 @@ def _preparing(task: str | None, done: int, total: int) -> dict[str, Any] | None
 
 @pytest.fixture
 def readiness(viewer: Viewer) -> ServiceReadiness:
-    """The readiness that the viewer is told of; nothing can be drawn at first."""
+    """Return the readiness that the viewer is told; nothing can be drawn at first."""
     return _readiness_of(viewer)
 
 
@@ -79,27 +79,27 @@ def _readiness_of(viewer: Viewer) -> ServiceReadiness:
 
 
 def drawn_requests(viewer: Viewer) -> list[str]:
-    """What the page has asked for that has to be drawn."""
+    """Return the page's requests that need rendering."""
     paths = [asked.removeprefix(viewer.address) for asked in viewer.asked]
     return [path for path in paths if not UNDRAWN.match(path)]
 
 
 @contextmanager
 def same_page(viewer: Viewer) -> Iterator[None]:
-    """The page is not loaded again meanwhile."""
+    """Assert that the page is not loaded again meanwhile."""
     viewer.page.evaluate("() => { window.isSame = true; }")
     yield
     assert viewer.page.evaluate("() => window.isSame === true")
 
 
 def boxes(page: Page) -> dict[str, Any]:
-    """Where the parts of the page lie that stay."""
+    """Return the boxes of the page's permanent parts."""
     parts = ("#side", "#sun", ".maplibregl-ctrl-top-right", "#minutes", "#days")
     return {part: page.locator(part).bounding_box() for part in parts}
 
 
-def test_card_shows_the_progress(viewer: Viewer, readiness: ServiceReadiness):
-    """In words, as a bar, and for screen readers."""
+def test_start_card_shows_the_progress(viewer: Viewer, readiness: ServiceReadiness):
+    """The card shows it in words, as a bar, and for screen readers."""
     viewer.page.goto(viewer.address)
     card, bar = viewer.page.locator("#start"), viewer.page.get_by_role("progressbar")
     expect(card).to_contain_text("The service is starting")
@@ -120,27 +120,27 @@ def test_card_shows_the_progress(viewer: Viewer, readiness: ServiceReadiness):
     spoken = viewer.page.locator("#said")
     expect(spoken).to_have_role("status")
     expect(spoken).to_have_text(re.compile("^First start. Compiling loops for map tiles."))
-    viewer.page.wait_for_timeout(500)  # the bar moves there
+    viewer.page.wait_for_timeout(500)  # the bar is animated
     filled, whole = bar.locator("span").bounding_box(), bar.bounding_box()
     assert filled is not None and whole is not None
     assert (filled["x"] + filled["width"] - whole["x"]) / whole["width"] == pytest.approx(57 / 180, abs=0.01)
 
 
-def test_card_counts_from_the_services_start(viewer: Viewer, readiness: ServiceReadiness):
-    """Not from when somebody opened the page."""
+def test_start_card_counts_from_the_services_start(viewer: Viewer, readiness: ServiceReadiness):
+    """It does not count from when the page was opened."""
     readiness.elapsed_s = 100.0
     readiness.starting(TILES, 57, 180)
     viewer.page.goto(viewer.address)
     card = viewer.page.locator("#start")
     expect(card).to_contain_text(re.compile(r"1 min 4\d s so far$"))
-    readiness.elapsed_s = None  # a service of before, which does not say
+    readiness.elapsed_s = None  # an older service, without this field
     readiness.starting(TILES, 58, 180)
     viewer.page.reload()
     expect(card).to_contain_text(re.compile(r"180\d s so far$"))
 
 
-def test_card_tells_the_time_left(viewer: Viewer, readiness: ServiceReadiness):
-    """As soon as enough progress has been seen, and not before."""
+def test_start_card_shows_the_time_left(viewer: Viewer, readiness: ServiceReadiness):
+    """The estimate appears once enough progress has been seen, and not before."""
     viewer.page.goto(viewer.address)
     card = viewer.page.locator("#start")
     begin = time.monotonic()
@@ -152,7 +152,7 @@ def test_card_tells_the_time_left(viewer: Viewer, readiness: ServiceReadiness):
 
 
 def test_nothing_is_drawn_before_readiness(viewer: Viewer, readiness: ServiceReadiness):
-    """Whatever is used meanwhile, and whatever the address asks for; once the service is ready, all of it comes."""
+    """Neither controls nor the address cause rendering. Once the service is ready, all that was set last is drawn."""
     viewer.page.goto(f"{viewer.address}/#{EVENING}&layer=shadow")
     page, card = viewer.page, viewer.page.locator("#start")
     expect(card).to_be_visible()
@@ -187,8 +187,8 @@ def test_nothing_is_drawn_before_readiness(viewer: Viewer, readiness: ServiceRea
     assert any("/point?" in path for path in paths)
 
 
-def test_map_appears_by_itself(viewer: Viewer, readiness: ServiceReadiness):
-    """It shows the place, the layer and the time that the address asks for."""
+def test_map_appears_once_the_service_is_ready(viewer: Viewer, readiness: ServiceReadiness):
+    """It shows the place, the layer and the time of the address, without a reload."""
     readiness.starting(TILES, 170, 180)
     viewer.page.goto(f"{viewer.address}/#{EVENING}&layer=shadow&map=10.10/36.29500/-84.24500")
     expect(viewer.page.locator("#start")).to_be_visible()
@@ -209,8 +209,8 @@ def test_map_appears_by_itself(viewer: Viewer, readiness: ServiceReadiness):
     assert boxes(viewer.page) == before, "nothing moves"
 
 
-def test_background_work_is_one_line(viewer: Viewer, readiness: ServiceReadiness):
-    """It comes and goes beside a map that is drawn; then nothing more is asked."""
+def test_background_work_is_shown_on_one_line(viewer: Viewer, readiness: ServiceReadiness):
+    """The line comes and goes beside a drawn map; then polling ends."""
     readiness.ready(HOURS, 57, 180)
     viewer.open(f"#{EVENING}")
     status = viewer.page.locator("#status")
@@ -227,7 +227,7 @@ def test_background_work_is_one_line(viewer: Viewer, readiness: ServiceReadiness
     assert len(readiness.times) == asked
 
 
-def test_slow_tiles_say_what_is_prepared(viewer: Viewer, readiness: ServiceReadiness):
+def test_slow_tiles_show_the_preparation(viewer: Viewer, readiness: ServiceReadiness):
     waiting: list[Route] = []
     readiness.ready(HOURS, 57, 180)
     viewer.page.route(re.compile("/tiles/"), lambda route: waiting.append(route))
@@ -241,8 +241,8 @@ def test_slow_tiles_say_what_is_prepared(viewer: Viewer, readiness: ServiceReadi
     viewer.shown()
 
 
-def test_polls_are_polite(viewer: Viewer, readiness: ServiceReadiness):
-    """Twice a second before the map, every other second beside it, ever more seldom where nobody answers."""
+def test_polling_intervals_are_bounded(viewer: Viewer, readiness: ServiceReadiness):
+    """The page polls twice a second before the map, every other second beside it, and backs off while nothing answers."""
     viewer.page.goto(viewer.address)
 
     def gaps(least: int) -> np.ndarray:
@@ -261,8 +261,8 @@ def test_polls_are_polite(viewer: Viewer, readiness: ServiceReadiness):
     assert gaps(1)[0] > 1.9
 
 
-def test_unreachable_service_is_asked_again(viewer: Viewer, readiness: ServiceReadiness):
-    """Also where it does not even tell its levels."""
+def test_unreachable_service_is_polled_again(viewer: Viewer, readiness: ServiceReadiness):
+    """Not even the list of levels is available at first."""
     viewer.page.route(re.compile("/levels$"), lambda route: route.abort("connectionrefused"))
     readiness.unreachable()
     viewer.page.goto(f"{viewer.address}/#{EVENING}")
@@ -281,8 +281,8 @@ def test_unreachable_service_is_asked_again(viewer: Viewer, readiness: ServiceRe
         assert viewer.shown().queries == {(("time", "2024-10-21T16:20:00-04:00"),)}
 
 
-def test_restart_is_survived(viewer: Viewer, readiness: ServiceReadiness):
-    """The map stays, a line says what is wrong, and what was asked meanwhile is drawn afterwards."""
+def test_viewer_survives_a_restart_of_the_service(viewer: Viewer, readiness: ServiceReadiness):
+    """The map stays, a line reports the outage, and settings changed meanwhile are drawn afterwards."""
     readiness.ready()
     viewer.open(f"#{EVENING}")
     everything_else = re.compile("/levels")
@@ -309,14 +309,14 @@ def test_restart_is_survived(viewer: Viewer, readiness: ServiceReadiness):
     expect(viewer.page.locator("#sun-words")).to_contain_text("119.1°")
 
 
-def test_proxy_that_hides_readiness_is_no_obstacle(viewer: Viewer, readiness: ServiceReadiness):
+def test_viewer_works_behind_a_proxy_without_readyz(viewer: Viewer, readiness: ServiceReadiness):
     readiness.hidden()
     assert viewer.open(f"#{EVENING}").queries
     assert len(readiness.times) == 1
 
 
-def test_ready_service_shows_no_card(viewer: Viewer, readiness: ServiceReadiness):
-    """Not even for a moment; it is asked once."""
+def test_ready_service_shows_no_start_card(viewer: Viewer, readiness: ServiceReadiness):
+    """The card does not even flash, and the page polls once."""
     viewer.page.add_init_script("""
       new MutationObserver(() => {
         if (document.querySelector('#start:not([hidden])')) window.hasFlashed = true;
@@ -334,8 +334,8 @@ def test_ready_service_shows_no_card(viewer: Viewer, readiness: ServiceReadiness
 
 
 @pytest.mark.parametrize("window", [{}, {"color_scheme": "dark"}, PHONE], ids=["light", "dark", "phone"])
-def test_card_can_be_read_by_all(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
-    """Nothing grave is found by axe; the card lies free of the dock and of the map's buttons."""
+def test_start_card_is_accessible(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
+    """axe finds no serious violation; the card overlaps neither the dock nor the map's buttons."""
     viewer = make_viewer(**window)
     readiness = _readiness_of(viewer)
     readiness.starting(TILES, 57, 180)

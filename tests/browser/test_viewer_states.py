@@ -1,4 +1,4 @@
-"""What the viewer says while it waits, where something fails, and where there is nothing to see; and how one goes on from there."""
+"""Waiting, failed and empty states of the viewer, and the ways out of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.browser.test_viewer_access import ACROSS, PHONE
 SUNNY = 240, 160, 20
 
 
-def test_a_service_that_does_not_answer(viewer: Viewer):
+def test_unreachable_service_can_be_retried(viewer: Viewer):
     viewer.forgiven = re.compile("ERR_FAILED")
     viewer.page.route(re.compile("/levels$"), lambda route: route.abort())
     viewer.page.goto(viewer.address)
@@ -32,8 +32,7 @@ def test_a_service_that_does_not_answer(viewer: Viewer):
     viewer.shown()
 
 
-def test_a_tile_that_fails(viewer: Viewer):
-    """The page says why, and what failed is asked for again."""
+def test_failed_tile_shows_the_error_and_a_retry(viewer: Viewer):
     viewer.forgiven = re.compile("500")
     viewer.page.route(re.compile("/tiles/"), lambda route: route.fulfill(status=500, json={"detail": "The worker is gone."}))
     viewer.page.goto(viewer.address)
@@ -46,7 +45,7 @@ def test_a_tile_that_fails(viewer: Viewer):
 
 
 @pytest.mark.parametrize("window", [{}, PHONE, ACROSS], ids=["window", "phone", "across"])
-def test_error_of_any_length_stays_in_its_box(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
+def test_long_error_stays_in_its_box(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
     viewer = make_viewer(**window)
     viewer.forgiven = re.compile("422")
     detail = f"source: '{'folder/' * 30}{'heights' * 20}.tif' is not allowed. Allowed: {'a_word_without_a_break' * 9}"
@@ -84,8 +83,8 @@ def test_error_of_any_length_stays_in_its_box(make_viewer: Callable[..., Viewer]
         ("tiem=12:00", "'tiem' means nothing"),
     ],
 )
-def test_address_that_means_nothing_is_told_of(viewer: Viewer, part: str, said: str):
-    """In one line, which can be closed, beside the map of what is meant."""
+def test_invalid_parts_of_the_address_are_reported(viewer: Viewer, part: str, said: str):
+    """One line, which can be closed, reports them beside the map."""
     viewer.hide_preparations()
     viewer.open(f"#{part}")
     line = viewer.page.locator("#notice")
@@ -96,7 +95,7 @@ def test_address_that_means_nothing_is_told_of(viewer: Viewer, part: str, said: 
     expect(line).to_be_hidden()
 
 
-def test_address_of_the_page_itself_is_understood(viewer: Viewer):
+def test_page_understands_its_own_address(viewer: Viewer):
     viewer.hide_preparations()
     viewer.open("#point=-84.25,36.3&point-height=2&theme=dark")
     expect(viewer.page).to_have_url(re.compile("level=jacksboro"))
@@ -107,8 +106,8 @@ def test_address_of_the_page_itself_is_understood(viewer: Viewer):
     expect(viewer.page.locator("#notice")).to_be_hidden()
 
 
-def test_a_slow_service(viewer: Viewer):
-    """A line runs along the top; after a while words say so; both go when all is there."""
+def test_slow_service_shows_that_it_works(viewer: Viewer):
+    """A line runs along the top, and words follow after a while; both disappear once all is drawn."""
     waiting: list[Route] = []
     slow = [True]
     viewer.hide_preparations()
@@ -124,7 +123,7 @@ def test_a_slow_service(viewer: Viewer):
     expect(viewer.page.locator("body.working")).not_to_be_attached()
 
 
-def test_a_place_without_data_has_a_way_back(viewer: Viewer):
+def test_place_without_data_offers_a_way_back(viewer: Viewer):
     viewer.page.goto(f"{viewer.address}/#map=10/10/10")
     veil = viewer.page.locator("#veil")
     expect(veil).to_contain_text("Nothing is known here. Jacksboro fault, Tennessee lies elsewhere.")
@@ -133,8 +132,8 @@ def test_a_place_without_data_has_a_way_back(viewer: Viewer):
     assert len(np.unique(viewer.shown().pixels.reshape(-1, 3), axis=0)) > 5000
 
 
-def test_a_base_map_that_is_pasted(make_viewer: Callable[..., Viewer]):
-    """Shadows lie over it; what is no address of tiles is refused in words."""
+def test_pasted_base_map_lies_under_the_shadows(make_viewer: Callable[..., Viewer]):
+    """A text that is no address of tiles is refused with an explanation."""
     red = BytesIO()
     Image.new("RGB", (256, 256), (220, 60, 60)).save(red, "PNG")
     with served_tiles(red.getvalue()) as address:
@@ -161,8 +160,8 @@ def test_a_base_map_that_is_pasted(make_viewer: Callable[..., Viewer]):
         assert not (np.abs(viewer.shown().pixels.astype(int) - (220, 60, 60)).max(axis=2) < 3).any()
 
 
-def test_hours_of_sun_never_lie_under_another_legend(viewer: Viewer):
-    """What was seen before is taken away, and a line says what is drawn and how far it is, also for another quantity or date."""
+def test_sun_hours_never_show_under_another_legend(viewer: Viewer):
+    """The previous tiles are removed, and a line shows the progress; also for another quantity or date."""
     waiting: list[Route] = []
     tile = BytesIO()
     Image.new("RGB", (256, 256), SUNNY).save(tile, "PNG")
@@ -172,7 +171,7 @@ def test_hours_of_sun_never_lie_under_another_legend(viewer: Viewer):
     page, status = viewer.page, viewer.page.locator("#status")
 
     def off(color: tuple[int, int, int]) -> int:
-        """How far the level, below what is said at the top, is from a colour."""
+        """Return the largest difference of the level, below the text at the top, from a colour."""
         return int(np.abs(viewer.pixels(viewer.place())[80:].astype(int) - color).max())
 
     def drawn_anew() -> None:
@@ -197,8 +196,8 @@ def test_hours_of_sun_never_lie_under_another_legend(viewer: Viewer):
     assert len(np.unique(viewer.shown().pixels.reshape(-1, 3), axis=0)) > 1000
 
 
-def test_hours_of_sun_have_a_legend(viewer: Viewer):
-    """The service's colours and numbers. (The tiles are made up: the first ones of a level take a while.)"""
+def test_sun_hours_have_a_legend(viewer: Viewer):
+    """It has the service's colours and numbers. The tiles are fake, because a level's first ones take a while."""
     viewer.page.route(re.compile("/tiles/.*sunhours"), lambda route: route.fulfill(status=204))
     viewer.open()
     viewer.page.get_by_text("Hours of sun", exact=True).first.click()
@@ -215,8 +214,8 @@ def test_hours_of_sun_have_a_legend(viewer: Viewer):
     assert any("layer=sunhours&date=2024-06-20" in each and "quantity=first" in each for each in viewer.asked if "/tiles/" in each)
 
 
-def test_the_ground_in_three_dimensions(viewer: Viewer):
-    """It rises from the service's heights, and the shaded layer lies on it."""
+def test_terrain_in_three_dimensions_rises_and_flattens(viewer: Viewer):
+    """The terrain rises from the service's heights, and the shaded layer lies on it."""
     flat = viewer.open()
     viewer.page.get_by_label("Three dimensions").check()
     viewer.settled()

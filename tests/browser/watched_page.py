@@ -1,4 +1,4 @@
-"""A page in a browser of which everything is noticed that goes wrong: errors in its console, requests that fail or go elsewhere."""
+"""A browser page that records every fault: errors in its console, failed requests, requests to other origins."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from PIL import Image
 from playwright.sync_api import ConsoleMessage, FloatRect, Page, Request, Response
 
 MAX_TOLD = 4
-"""A map has dozens of tiles, which go wrong together."""
+"""Faults in a report: a map has dozens of tiles, which fail together."""
 
 GIVEN_UP = "net::ERR_ABORTED"
-"""What Chromium says of requests that the page itself no longer wants."""
+"""Chromium's error for requests that the page itself has cancelled."""
 
 
 class WatchedPage:
-    """A page, what it has asked for, and what goes wrong there. Only some origins may be asked for anything."""
+    """A page, its requests and its faults. It may request from some origins only."""
 
     def __init__(self, page: Page, origins: Sequence[str]) -> None:
         self.page = page
         self.wrong: list[str] = []
         self.asked: list[str] = []
         self.forgiven: re.Pattern[str] | None = None
-        """What may go wrong, since the test has made it go wrong."""
+        """Faults that the test provokes, and that are ignored."""
         self.waiting: set[Request] = set()
         self._origins = tuple(f"{origin}/" for origin in origins)
         page.on("console", self._said)
@@ -37,17 +37,17 @@ class WatchedPage:
         page.on("requestfailed", self._failed)
 
     def allow(self, origin: str) -> None:
-        """Let the page ask another origin, too."""
+        """Allow requests to another origin, too."""
         self._origins += (f"{origin.rstrip('/')}/",)
 
     def check(self) -> None:
-        """Fail if anything has gone wrong on the page."""
+        """Fail the test if the page has had a fault."""
         self.wrong = [each for each in self.wrong if self.forgiven is None or not self.forgiven.search(each)]
         if self.wrong:
             pytest.fail("\n".join(["on the page:", *self.wrong[:MAX_TOLD]]), pytrace=False)
 
     def pixels(self, clip: FloatRect | None = None) -> np.ndarray:
-        """What a person sees of the page, or of a part of it, (rows, cols, 3) uint8."""
+        """Return a screenshot of the page, or of a part of it, (rows, cols, 3) uint8."""
         return np.asarray(Image.open(BytesIO(self.page.screenshot(clip=clip))).convert("RGB"))
 
     def _said(self, message: ConsoleMessage) -> None:

@@ -1,1 +1,1 @@
-"""Programs that read map services and know nothing of Skugga, before a real service: QGIS without a window, and GDAL's tools."""
+"""Third-party programs before a real service: QGIS without a window, GDAL's tools, and nginx."""

@@ -1,4 +1,4 @@
-"""A real service of one bundled level, which programs of their own read: QGIS and GDAL as Debian has them."""
+"""A real service of one bundled level for third-party programs: QGIS and GDAL as Debian packages them."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ LEVEL = "jacksboro"
 MATRIX_SET = tms.get(DEFAULT_MATRIX_SET)
 
 READY_S = 600
-"""A render process compiles at its first start."""
+"""A render worker compiles at its first start."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """All tests of this folder need a client, also one that does not say so."""
+    """Mark every test of this folder as a client test."""
     for item in items:
         if item.path.is_relative_to(HERE):
             item.add_marker(pytest.mark.clients)
@@ -34,7 +34,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def service() -> Iterator[Client]:
-    """A service with one render process that is ready: what is slow then is the client."""
+    """Yield a service whose render worker is ready, so that only the client can be slow."""
     with running(create_app(Settings(workers=1), [find_level(LEVEL)])) as client:
         end = time.monotonic() + READY_S
         while client.get("/readyz").status_code != 200:

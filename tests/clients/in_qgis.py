@@ -1,7 +1,8 @@
-"""What QGIS makes of a service, run by the Python that QGIS is installed for: ``python3 in_qgis.py ADDRESS LEVEL FOLDER < PLAN``.
+"""Draw a service in QGIS, run by the Python that QGIS is installed for: ``python3 in_qgis.py ADDRESS LEVEL FOLDER < PLAN``.
 
-The plan (JSON) has ``bounds`` in EPSG:3857, ``degrees`` in EPSG:4326, ``deep`` (finer than any tile), a ``side`` in pixels and
-``times`` by name, each begin and end. Pictures go to the folder; what else was seen to ``found.json`` there.
+The plan (JSON) has ``bounds`` in EPSG:3857, ``degrees`` in EPSG:4326, ``deep`` (finer than any tile), a ``side`` in pixels,
+``zooms`` (first and last) and ``times`` by name, each begin and end. Pictures go to the folder, all other findings to
+``found.json`` there.
 """
 
 from __future__ import annotations
@@ -47,11 +48,11 @@ QgsApplication.messageLog().messageReceived.connect(lambda text, tag, _: found["
 QgsNetworkAccessManager.setRequestPreprocessor(lambda request: found["requests"].append(request.url().toString()))
 
 kept = []
-"""What QGIS frees if nobody holds it."""
+"""References to objects that QGIS would free otherwise."""
 
 
 def in_browser(name: str, url: str) -> list[str]:
-    """The sources of the layers that QGIS's browser shows under a new connection, as it writes them itself."""
+    """Return the sources of the layers that QGIS's browser lists under a new connection."""
     QgsSettings().setValue(f"qgis/connections-wms/{name}/url", url)
     providers = QgsApplication.dataItemProviderRegistry().providers()
     root = next(each for each in providers if each.name() == "WMS").createDataItem("", None)
@@ -68,7 +69,7 @@ def sources(item: object, *above: object) -> list[str]:
 
 
 def add(name: str, layer: QgsRasterLayer) -> QgsRasterLayer:
-    """A layer under a name, with what QGIS says of it."""
+    """Record a layer under a name with QGIS's facts of it, and return it."""
     kept.append(layer)
     times = layer.dataProvider().temporalCapabilities() if layer.isValid() else None
     span = times.availableTemporalRange() if times is not None and times.hasTemporalCapabilities() else None
@@ -83,7 +84,7 @@ def add(name: str, layer: QgsRasterLayer) -> QgsRasterLayer:
 def draw(
     name: str, layer: QgsRasterLayer, extent: QgsRectangle = bounds, crs: str = "EPSG:3857", times: list | None = None
 ) -> None:
-    """A layer as the map canvas draws it, at a range of times as the temporal controller sets it."""
+    """Draw a layer as the map canvas does, in a range of times as the temporal controller sets it."""
     settings = QgsMapSettings()
     settings.setLayers([layer])
     settings.setDestinationCrs(QgsCoordinateReferenceSystem(crs))
@@ -100,7 +101,7 @@ def draw(
 
 
 def legend(name: str, layer: QgsRasterLayer) -> None:
-    """The legend that the layer tree shows; ``None`` where QGIS asks for none."""
+    """Record the sizes of the legend in the layer tree; ``None`` where QGIS requests none."""
     settings = QgsMapSettings()
     settings.setExtent(bounds)
     settings.setOutputSize(QSize(side, side))
@@ -168,4 +169,4 @@ def by_definition() -> None:
 for part in (by_wms, by_wmts, by_xyz, by_definition):
     part()
 (folder / "found.json").write_text(json.dumps(found, indent=1))
-os._exit(0)  # QGIS's own end frees what Python still holds, and crashes
+os._exit(0)  # QGIS's regular exit frees objects that Python still holds, and crashes

@@ -1,4 +1,4 @@
-"""GDAL's tools, as Debian has them, read the service: the line of a level's page, and WMS with a time."""
+"""GDAL's tools, as Debian packages them, read the service: the line of a level's page, and WMS with a time."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ TIME = "2024-12-21T15:00:00Z"
 
 @pytest.fixture(scope="module", autouse=True)
 def tools() -> None:
-    """Said once, with the version."""
+    """Print the version of GDAL's tools once; skip without them."""
     if shutil.which("gdal_translate") is None:
         pytest.skip("there is no gdal_translate: 'make test-clients' installs it, or 'apt-get install gdal-bin'")
     print(subprocess.run(["gdal_translate", "--version"], capture_output=True, text=True, check=True).stdout.strip())
 
 
 def translated(folder: Path, source: str, *options: str) -> np.ndarray:
-    """What ``gdal_translate`` makes of a source, (rows, cols, bands)."""
+    """Return what ``gdal_translate`` writes for a source, (rows, cols, bands)."""
     environment = {name: value for name, value in os.environ.items() if name not in NO_REMOTE_READS}
     path = folder / "translated.tif"
     done = subprocess.run(
@@ -49,8 +49,8 @@ def picture(client: Client, address: str, **query: str) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
 
 
-def test_the_line_of_the_page(service: Client, tmp_path):
-    """Cut to a tile, which it is to the bit."""
+def test_gdal_translate_runs_the_line_of_the_page(service: Client, tmp_path):
+    """The output, cut to the bounds of a tile, equals that tile bit for bit."""
     line = re.search(r'gdal_translate "(WMTS:[^"]+)"', unescape(service.get(f"/levels/{LEVEL}.html").text))
     assert line is not None
     served = service.get(f"/levels/{LEVEL}").json()
@@ -67,8 +67,8 @@ def test_the_line_of_the_page(service: Client, tmp_path):
     assert np.array_equal(later, expected) and not np.array_equal(later, seen)
 
 
-def test_wms_with_a_time(service: Client, tmp_path):
-    """The tool asks for blocks of 1024 x 1024."""
+def test_gdal_translate_reads_wms_with_a_time(service: Client, tmp_path):
+    """The tool requests blocks of 1024 x 1024 pixels."""
     west, south, east, north = service.get(f"/levels/{LEVEL}").json()["bounds"]
     box = MATRIX_SET.xy_bounds(MATRIX_SET.tile((west + east) / 2, (south + north) / 2, 12))
     bbox = ",".join(map(repr, box))

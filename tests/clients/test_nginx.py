@@ -1,5 +1,6 @@
-"""Debian's nginx as a cache before the service, by the configuration of ``examples/deployment``: only its addresses and folders are
-others here. The service is a process of its own, which is stopped, killed and started anew.
+"""Debian's nginx as a cache before the service, with the configuration of ``examples/deployment``.
+
+Only its addresses and folders differ here. The service is a process, which tests stop, kill and restart.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ TILE = f"{TILES}/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 HOUR_S, DAY_S = 3600, 86400
 
 CACHE_VERSION = 5
-"""Of nginx's files: 64-bit numbers are first its version, then when what lies there expires (seconds since 1970)."""
+"""Version of nginx's cache files. They begin with two 64-bit numbers: this version, and the expiry (seconds since 1970)."""
 
 
 def free_port() -> int:
@@ -56,7 +57,7 @@ def eventually(what: Callable[[], bool], within_s: float = SOON_S) -> None:
 
 
 class Deployment:
-    """A service of hills behind nginx, each a process; ``client`` asks nginx, ``direct`` the service."""
+    """A service of ``hills`` behind nginx, each a process; ``client`` requests from nginx, ``direct`` from the service."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.level = folder, write_level(folder, "hills")
@@ -68,7 +69,7 @@ class Deployment:
         self._started: list[subprocess.Popen[bytes]] = []
 
     def start_service(self) -> None:
-        """Start it, and wait until it can draw."""
+        """Start the service, and wait until it can draw."""
         settings = {"SKUGGA_CALIBRATE_WHEN_IDLE": "false", "SKUGGA_PROBE_WHEN_IDLE": "false", "SKUGGA_WORKERS": "1"}
         command = [sys.executable, "-c", "from skugga.api.cli.main import main; main()", "serve", str(self.level)]
         with (self.folder / "service.log").open("a") as log:
@@ -90,7 +91,7 @@ class Deployment:
             return False
 
     def start_nginx(self) -> None:
-        """As an ordinary user, also where the tests are root's: then it is the user that the configuration names."""
+        """Start nginx as an ordinary user: if the tests run as root, as the user that the configuration names."""
         text = CONFIGURATION.read_text(encoding="utf-8")
         for here, theirs in {
             "listen 8080 ": f"listen 127.0.0.1:{self.port} ", "127.0.0.1:8000": f"127.0.0.1:{self.service_port}",
@@ -119,7 +120,7 @@ class Deployment:
         self.direct.close()
 
     def counted(self) -> Counter[str]:
-        """What the service has done: answers of tiles by status, and pictures drawn."""
+        """Return the service's counters: answers of tiles by status, and pictures drawn."""
         text, counts = self.direct.get("/metrics").text, Counter[str]()
         for route, status, number in re.findall(r'skugga_requests_total\{.*?route="(.*?)",status="(\d+)"\} (\S+)', text):
             counts[status] += int(float(number)) if "/tiles/" in route else 0
@@ -128,7 +129,7 @@ class Deployment:
         return counts
 
     def expire(self, address: str, ago_s: float) -> None:
-        """Let what nginx keeps of an address have expired so long ago."""
+        """Let nginx's cache entry of an address have expired ``ago_s`` seconds ago."""
         name = hashlib.md5(f"{self.client.base_url}{address}".encode()).hexdigest()
         with (self.folder / "cache" / name[-1] / name[-3:-1] / name).open("r+b") as file:
             version, until = struct.unpack("<Qq", file.read(16))
@@ -154,7 +155,7 @@ def deployment() -> Iterator[Deployment]:
 
 
 def state(answer: httpx.Response) -> tuple[int, str]:
-    """Status, and what nginx says of its cache."""
+    """Return the status, and nginx's cache status."""
     return answer.status_code, answer.headers.get("x-cache-status", "")
 
 
@@ -162,8 +163,8 @@ def sun(altitude_deg: float) -> str:
     return f"{TILE}?azimuth=200&altitude={altitude_deg:g}"
 
 
-def test_a_map_client_walks_twice(deployment: Deployment):
-    """Two zooms under four suns, as two browsers that have nothing yet."""
+def test_second_walk_is_answered_by_the_cache(deployment: Deployment):
+    """Two zooms under four suns, requested twice, as by two browsers with empty caches."""
     walk = [
         f"{TILES}/{ZOOM + deeper}/{(CORNER[0] << deeper) + col}/{(CORNER[1] << deeper) + row}.png?azimuth=150&altitude={altitude}"
         for altitude in (8, 14, 25, 40)
@@ -189,7 +190,7 @@ def test_a_map_client_walks_twice(deployment: Deployment):
         print(f"{name}: {len(times)} tiles, median {statistics.median(times):.2f} ms, longest {max(times):.1f} ms")
 
 
-def test_a_client_that_has_a_tile(deployment: Deployment):
+def test_cached_tile_answers_if_none_match(deployment: Deployment):
     tag = deployment.client.get(TILE).headers["etag"]
     before = deployment.counted()
     for given in (tag, f"W/{tag}", f'"another", {tag}'):
@@ -201,8 +202,8 @@ def test_a_client_that_has_a_tile(deployment: Deployment):
     assert deployment.counted() == before, "nothing of that reached the service"
 
 
-def test_what_has_expired_is_asked_for_without_being_drawn(deployment: Deployment):
-    """Also by a service that has just been started, and knows nothing of having drawn it."""
+def test_expired_tile_is_revalidated_without_rendering(deployment: Deployment):
+    """The service has been restarted, so it does not remember that it has drawn the tile."""
     first = deployment.client.get(TILE)
     deployment.kill_service()
     deployment.start_service()
@@ -214,9 +215,10 @@ def test_what_has_expired_is_asked_for_without_being_drawn(deployment: Deploymen
     assert state(deployment.client.get(TILE)) == (200, "HIT"), "fresh for another hour"
 
 
-def test_what_has_just_expired_is_sent_while_it_is_asked_for(deployment: Deployment):
-    """The service is stopped: it cannot have been waited for. Each request has its own connection: on the one that began it nginx
-    reads the next request when the update has ended.
+def test_stale_tile_is_sent_while_it_is_revalidated(deployment: Deployment):
+    """The service is stopped, so nginx cannot have waited for it.
+
+    Each request has its own connection: on the one that began the update, nginx reads the next request after the update.
     """
     first = deployment.client.get(TILE)
     deployment.expire(TILE, HOUR_S - 60)
@@ -232,8 +234,8 @@ def test_what_has_just_expired_is_sent_while_it_is_asked_for(deployment: Deploym
     assert deployment.counted() - before == {"304": 1}, "asked for once"
 
 
-def test_while_the_service_is_away(deployment: Deployment):
-    """Pictures of a light of their own are sent for a day longer, those of now are not, and it comes back by itself."""
+def test_stale_tiles_bridge_an_outage_of_a_day(deployment: Deployment):
+    """Tiles with a fixed sun are sent for a day longer, tiles of the current time are not. The service recovers by itself."""
     of_now, unknown = f"{TILE}?time=current", sun(33.3)
     kept = deployment.client.get(TILE)
     assert kept.status_code == deployment.client.get(of_now).status_code == 200
@@ -256,7 +258,7 @@ def test_while_the_service_is_away(deployment: Deployment):
     assert deployment.client.get(unknown).status_code == 200, "that it was away is not remembered"
 
 
-def test_equal_requests_at_a_time_are_one(deployment: Deployment):
+def test_concurrent_equal_requests_are_one(deployment: Deployment):
     before, address = deployment.counted(), sun(21.7)
     with ThreadPoolExecutor(20) as threads:
         answers = list(threads.map(lambda _: httpx.get(f"{deployment.client.base_url}{address}", timeout=120), range(20)))
@@ -265,7 +267,7 @@ def test_equal_requests_at_a_time_are_one(deployment: Deployment):
     assert deployment.counted() - before == {"200": 1, "drawn": 1}
 
 
-def test_each_query_is_another_answer(deployment: Deployment):
+def test_cache_key_includes_query_and_host(deployment: Deployment):
     asked = [deployment.client.get(sun(altitude_deg)) for altitude_deg in (5, 6)]
     assert [state(answer) for answer in asked] == [(200, "MISS")] * 2 and asked[0].content != asked[1].content
     before = deployment.client.get(f"{TILE}?time={quote('2024-06-21T18:00:00+02:00')}")
@@ -275,7 +277,7 @@ def test_each_query_is_another_answer(deployment: Deployment):
     assert state(other) == (200, "MISS"), "addresses in answers hang on the host"
 
 
-def test_refusals_are_not_kept(deployment: Deployment):
+def test_error_answers_are_not_cached(deployment: Deployment):
     wrong = {f"{TILES}/{ZOOM}/0/0.gif": 422, f"{TILE}?altitude=5": 422, "/levels/nowhere": 404, f"{TILES}/30/0/0.png": 404}
     for address, status in wrong.items():
         for _ in range(2):
@@ -283,8 +285,8 @@ def test_refusals_are_not_kept(deployment: Deployment):
             assert state(answer) == (status, "MISS") and answer.headers["cache-control"] == "no-store", address
 
 
-def test_documents_are_compressed_pictures_are_not(deployment: Deployment):
-    """The length of what is sent says so; the tag is a weak one then, and good enough to be asked with."""
+def test_documents_are_compressed_but_not_pictures(deployment: Deployment):
+    """The sent length proves it. The ETag is weak then, and still valid in If-None-Match."""
     address = "/openapi.json"
     with deployment.client.stream("GET", address, headers={"Accept-Encoding": "gzip"}) as answer:
         sent = b"".join(answer.iter_raw())
@@ -295,15 +297,15 @@ def test_documents_are_compressed_pictures_are_not(deployment: Deployment):
     assert "content-encoding" not in deployment.client.get(TILE, headers={"Accept-Encoding": "gzip"}).headers
 
 
-def test_pages_of_other_origins_share_what_is_kept(deployment: Deployment):
+def test_pages_of_all_origins_share_cache_entries(deployment: Deployment):
     address = sun(44)
     answers = [deployment.client.get(address, headers={"Origin": origin} if origin else {}) for origin in ("", "https://a.example")]
     assert [state(answer) for answer in answers] == [(200, "MISS"), (200, "HIT")]
     assert {answer.headers["access-control-allow-origin"] for answer in answers} == {"*"}
 
 
-def test_what_is_not_for_all(deployment: Deployment):
-    """Metrics are refused however they are spelt, what a token opened is not kept, and each answer has a number of its own."""
+def test_private_answers_are_not_shared(deployment: Deployment):
+    """Metrics are refused in any spelling, answers to a token are not cached, and each answer has its own request id."""
     for address in ("/metrics", "/%6detrics", "//metrics", "/levels/../metrics"):
         assert httpx.get(f"{deployment.client.base_url}{address}").status_code == 403, address
     address = sun(47)
@@ -314,13 +316,13 @@ def test_what_is_not_for_all(deployment: Deployment):
     assert [len(each) for each in numbers] == [1, 1] and numbers[0] != numbers[1]
 
 
-def test_addresses_in_documents_are_those_of_the_proxy(deployment: Deployment):
+def test_documents_contain_the_address_of_the_proxy(deployment: Deployment):
     document = deployment.client.get("/levels/hills/WebMercatorQuad/tilejson.json").json()
     assert document["tiles"][0].startswith(f"{deployment.client.base_url}/levels/hills/")
 
 
-def test_an_archive_by_ranges_of_bytes(deployment: Deployment):
-    """As map clients read one, without the service."""
+def test_nginx_serves_archives_by_byte_ranges(deployment: Deployment):
+    """nginx answers the ranges that map clients read, without the service."""
     address, asked = "/files/shadows.pmtiles", []
 
     def read(offset: int, length: int) -> bytes:

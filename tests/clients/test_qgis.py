@@ -1,4 +1,4 @@
-"""QGIS without a window reads the service by WMS, WMTS, XYZ tiles and the file of layers: what it draws is what the service has."""
+"""QGIS without a window reads WMS, WMTS, XYZ tiles and the layer definition; its pictures equal the service's."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.clients.conftest import LEVEL, MATRIX_SET
 from tests.golden import OUTPUT
 
 PYTHON = Path("/usr/bin/python3")
-"""The one that QGIS's packages are installed for."""
+"""The Python that QGIS's packages are installed for."""
 
 ZOOM = 12
 SIDE = 512
@@ -40,22 +40,22 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What QGIS has found, and the pictures that it has drawn, in a folder."""
+    """The findings of QGIS, and the folder of its pictures."""
 
     found: dict[str, Any]
     folder: Path
     bounds: Box
     degrees: Box
     corner: tuple[int, int]
-    """Column and row of the upper left one of the four tiles of the bounds."""
+    """Column and row of the upper left of the four tiles of the bounds."""
 
     def picture(self, name: str) -> np.ndarray:
-        """RGBA, (rows, cols, 4) uint8."""
+        """Return a picture of QGIS, RGBA, (rows, cols, 4) uint8."""
         return np.asarray(Image.open(self.folder / f"{name}.png").convert("RGBA"))
 
 
 def served(client: Client, bounds: Box, layer: str = "color", **query: str) -> np.ndarray:
-    """The service's own map of an extent, RGBA."""
+    """Return the service's map of an extent, RGBA."""
     asked = {"bbox": ",".join(map(repr, bounds)), "crs": "EPSG:3857", "width": str(SIDE), "height": str(SIDE), "layer": layer}
     if layer == "sunhours":
         asked["date"] = own_date(client)
@@ -63,19 +63,19 @@ def served(client: Client, bounds: Box, layer: str = "color", **query: str) -> n
 
 
 def tile(client: Client, x: int, y: int, layer: str = "color", **query: str) -> np.ndarray:
-    """A tile of the service, RGBA."""
+    """Return a tile of the service, RGBA."""
     if layer == "sunhours":
         query["date"] = own_date(client)
     return patiently(client, f"/levels/{LEVEL}/tiles/{DEFAULT_MATRIX_SET}/{ZOOM}/{x}/{y}.png", layer=layer, **query)
 
 
 def own_date(client: Client) -> str:
-    """The date that the level is shown at."""
+    """Return the date of the level's own time."""
     return client.get(f"/levels/{LEVEL}").json()["sun"]["time"][:10]
 
 
 def patiently(client: Client, address: str, **query: str) -> np.ndarray:
-    """A picture, RGBA, however long its turn takes to come."""
+    """Return a picture, RGBA; retry while the service is busy."""
     end = time.monotonic() + MAX_S
     while (answer := client.get(address, params=query)).status_code == 503:
         assert time.monotonic() < end, answer.text
@@ -86,7 +86,7 @@ def patiently(client: Client, address: str, **query: str) -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def seen(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Seen:
-    """All that ``in_qgis.py`` does, once."""
+    """Run ``in_qgis.py`` once, and return its findings."""
     environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen"}
     environment.pop("PYTHONPATH", None)
     here = subprocess.run([PYTHON, "-c", "import qgis.core"], env=environment, capture_output=True, text=True)
@@ -101,7 +101,7 @@ def seen(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Seen:
     degrees = lon_lat.left, lon_lat.bottom, lon_lat.left + 0.0625, lon_lat.bottom + 0.0625
     fine = MATRIX_SET.xy_bounds(middle.x * 16, middle.y * 16, ZOOM + 4)
     deep = fine.left, fine.bottom, fine.right, fine.top
-    # Hours of sun take longest: tiles that would wait 20 s for their turn are refused, and QGIS leaves them out.
+    # Hours of sun take longest: the service refuses tiles that would wait for 20 s, and QGIS leaves them out.
     served(service, bounds, "sunhours")
     for x, y in product(range(middle.x - 1, middle.x + 2), range(middle.y - 1, middle.y + 2)):
         tile(service, x, y, "sunhours")
@@ -121,7 +121,7 @@ def seen(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Seen:
     return Seen(found, folder, bounds, degrees, (middle.x - 1, middle.y - 1))
 
 
-def test_all_layers_are_valid_and_nothing_is_complained_of(seen: Seen):
+def test_qgis_layers_are_valid_and_log_nothing(seen: Seen):
     by_wms = {f"wms-{name}" for name in ("color", "shadow", "mask", "sunhours", "degrees")}
     by_file = {f"qlr-{name}" for name in ("color", "shadow", "sunhours", "heights")}
     assert set(seen.found["layers"]) == by_wms | by_file | {"wmts", "wmts-span", "xyz"}
@@ -130,15 +130,15 @@ def test_all_layers_are_valid_and_nothing_is_complained_of(seen: Seen):
     assert not seen.found["log"]
 
 
-def test_wms_draws_the_services_maps(service: Client, seen: Seen):
-    """To the bit, since the canvas is the map that is asked for; of a CRS whose latitude comes first, too."""
+def test_qgis_wms_equals_the_maps_of_the_service(service: Client, seen: Seen):
+    """They are equal bit for bit, because the canvas is the requested map; also in a CRS with latitude first."""
     for layer in ("color", "shadow", "mask", "sunhours"):
         assert np.array_equal(seen.picture(f"wms-{layer}"), served(service, seen.bounds, layer)), layer
     assert np.array_equal(seen.picture("wms-degrees"), served(service, seen.degrees, crs="EPSG:4326"))
 
 
-def test_the_temporal_controller_moves_time(service: Client, seen: Seen):
-    """Its range begins at the time that is drawn, and QGIS knows the year's begin and end."""
+def test_qgis_temporal_controller_sets_the_time(service: Client, seen: Seen):
+    """QGIS draws the begin of the controller's range, and knows the begin and the end of the year."""
     for name, (begin, _) in TIMES.items():
         assert np.array_equal(seen.picture(f"wms-{name}"), served(service, seen.bounds, time=begin)), name
     assert (seen.picture("wms-morning") != seen.picture("wms-evening")).any(axis=-1).mean() > 0.5
@@ -147,8 +147,8 @@ def test_the_temporal_controller_moves_time(service: Client, seen: Seen):
     assert {begin for begin, _ in TIMES.values()} <= set(asked)
 
 
-def test_tiles_lie_beside_one_another(service: Client, seen: Seen):
-    """At the scale of a zoom QGIS draws tiles as they are."""
+def test_qgis_tiles_equal_those_of_the_service(service: Client, seen: Seen):
+    """At the scale of a zoom QGIS draws tiles without resampling."""
 
     def laid(layer: str = "color", **query: str) -> np.ndarray:
         x, y = seen.corner
@@ -158,25 +158,25 @@ def test_tiles_lie_beside_one_another(service: Client, seen: Seen):
         assert np.array_equal(seen.picture(name), laid()), name
     for layer in ("shadow", "sunhours"):
         assert np.array_equal(seen.picture(f"qlr-{layer}"), laid(layer)), layer
-    # QGIS 3.22 does not know what the colours of heights mean; newer ones make numbers of them, which was not looked at.
+    # QGIS 3.22 draws encoded heights as colours; newer versions decode them, which was not examined.
     if seen.found["version"].startswith("3.22."):
         assert np.array_equal(seen.picture("qlr-heights"), laid("terrarium"))
-    # Whoever picks the whole span of times in the browser sees its begin.
+    # The whole span of times, chosen in the browser, shows its begin.
     assert np.array_equal(seen.picture("wmts-span"), laid(time="2024-01-01T00:05:00Z"))
 
 
 @pytest.mark.parametrize("name", ["wmts-deep", "xyz-deep"])
-def test_past_the_last_zoom_its_tiles_are_enlarged(seen: Seen, name: str):
+def test_qgis_enlarges_tiles_past_the_last_zoom(seen: Seen, name: str):
     picture = seen.picture(name)
     assert (picture[..., 3] == 255).all() and len(np.unique(picture[..., :3].reshape(-1, 3), axis=0)) > 100
 
 
-def test_what_is_at_a_point(seen: Seen):
+def test_qgis_identifies_a_point(seen: Seen):
     html, text = seen.found["identified"]["html"], seen.found["identified"]["text"]
     assert "<th>Elevation</th>" in html and "Elevation: " in text and f"Level: {LEVEL}\n" in text
     assert "Direct sun: " in text
 
 
-def test_legends(seen: Seen):
-    """Of hours of sun there is one; the others are asked for none."""
+def test_qgis_shows_the_legend_of_sun_hours_only(seen: Seen):
+    """Hours of sun have a legend; QGIS requests none of the other layers."""
     assert seen.found["legends"] == {"color": None, "shadow": None, "mask": None, "sunhours": [[340, 85]]}

@@ -1,7 +1,7 @@
-"""Scenes at the edge of each effect's predicate, and what the effect changes in them.
+"""Scenes at the edge of each effect's predicate, and the change of the picture by the effect.
 
-A case is a level and one of its views; the cases of an effect differ in the one thing that its predicate goes by, in steps that lie
-densely round where it turns over. What is compared are the 8-bit pictures with the effect forced on and forced off.
+A case is a level and one of its views. The cases of an effect differ in the input of its predicate, in small steps around
+the threshold. Comparisons are of the 8-bit pictures with the effect forced on and forced off.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ SIZE = 96, 72
 """Pixels of a picture."""
 
 PLACE = (15.0086, 47.8475)
-"""Longitude and latitude of the ground's middle, about."""
+"""Approximate longitude and latitude of the ground's centre."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A level (its keys but for version) and the view of it that is drawn."""
+    """A level (its keys except ``version``) and its view to draw."""
 
     name: str
     keys: dict[str, Any]
@@ -49,8 +49,22 @@ class Case:
 
 @dataclass(frozen=True)
 class Found:
-    """What an effect did in a case: whether the plan runs it and why, whether it ran when forced on, by how many steps of 255 a
-    pixel differs at most, and by how many where it is held against all of the pixel's neighbours in the other picture.
+    """The change by an effect in a case.
+
+    Attributes
+    ----------
+    case
+        Name of the case.
+    runs
+        True if the plan runs the effect.
+    reason
+        The plan's reason.
+    ran
+        True if the effect ran when forced on.
+    steps
+        Largest difference of a pixel, in steps of 255.
+    steps_beside
+        Largest difference from the range of the pixel and its neighbours in the other picture, in steps of 255.
     """
 
     case: str
@@ -66,7 +80,7 @@ class Found:
 
 
 class Lab:
-    """Builds levels in a folder and draws them."""
+    """Builder of levels in a folder, which also draws them."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -87,13 +101,13 @@ class Lab:
         raw.write(folder / "tree.gpkg", tree, [np.array([12.0])], ["height"], geometry_type="Point", crs=ENGINEERING)
 
     def scene(self, keys: dict[str, Any]) -> Scene:
-        """The scene of a level of some keys."""
+        """Return the scene of a level with some keys."""
         path = self.folder / "level.yaml"
         path.write_text(json.dumps({"version": 1, **keys}), encoding="utf-8")
         return build_scene(load_level(path))
 
     def found(self, effect: str, case: Case) -> Found:
-        """What an effect does in a case."""
+        """Return the change by an effect in a case."""
         scene = self.scene({**case.keys, "views": {"view": case.view}})
         view = scene.view("view")
         plan = make_plan(describe(scene, view, "view"), scene.loaded.level)
@@ -114,7 +128,7 @@ class Lab:
 
 
 def _beyond_neighbours(picture: np.ndarray, other: np.ndarray) -> int:
-    """By how much a picture (rows, cols, 3) leaves the range of the other one's pixel and the eight round it."""
+    """Return how far a picture (rows, cols, 3) leaves the range of the other picture's pixel and its eight neighbours."""
     low, high = (filter(other, size=(3, 3, 1), mode="nearest") for filter in (minimum_filter, maximum_filter))
     return int(np.maximum(low - picture, picture - high).max())
 
@@ -127,16 +141,18 @@ def eye(at: tuple[float, float, float], target: tuple[float, float, float], fov:
 MAP = {"kind": "map", "size": [SIZE[1], SIZE[1]]}
 
 ACROSS = eye((PLACE[0] - 0.006, PLACE[1] - 0.004, 60.0), (*PLACE, 0.0))
-"""Over the ground towards the north-east."""
+"""View over the ground towards the north-east."""
 
 
 def skyline(up_m: float) -> dict[str, Any]:
-    """From the same place above the horizon: from about 260 on, ground is in the picture's last rows alone, or not at all."""
+    """Return a view from the same place that looks above the horizon. From about 260 on, ground is in its last rows alone,
+    or nowhere.
+    """
     return eye((PLACE[0] - 0.006, PLACE[1] - 0.004, 60.0), (*PLACE, up_m))
 
 
 def window(east_m: float, south_m: float, side_m: float) -> dict[str, Any]:
-    """A map of a square of the ground, by its middle."""
+    """Return a map of a square of the ground, given its centre."""
     x, y = CORNER_M[0] + east_m, CORNER_M[1] - south_m
     return {**MAP, "bounds": [x - side_m / 2, y - side_m / 2, x + side_m / 2, y + side_m / 2]}
 
@@ -153,7 +169,7 @@ def cast_shadows() -> Iterator[Case]:
             yield Case(f"slope turned away {view_name} {altitude}", ground("slope", 90.0, altitude), view)
         for cover in (0.99, 1.0):
             yield Case(f"clouds {view_name} {cover}", ground("hills", azimuth, 15.0, weather={"cloud_cover": cover}), view)
-    for away in (-45.0, -20.0, -14.0, 0.0, 14.0, 20.0, 30.0, 45.0):  # a post 12 m high throws 20.8 m at 30 degrees
+    for away in (-45.0, -20.0, -14.0, 0.0, 14.0, 20.0, 30.0, 45.0):  # a post 12 m high casts 20.8 m at 30 degrees
         post = [{"source": "post.obj", "at": [0.0, -away]}]
         yield Case(f"post {away} m before", ground("floor", 180.0, meshes=post), eye((0, 12, 30), (0, 12.5, 0), 40.0, 3))
 
@@ -179,7 +195,7 @@ def soft_edges() -> Iterator[Case]:
 def outside_casters() -> Iterator[Case]:
     west, north = CORNER_M
     for altitude in (2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 14.0, 18.0, 23.0, 28.0, 40.0, 50.0, 70.0):
-        # A window of the hill's east side, which the sun in the west throws its shadow on.
+        # A window of the hill's east side, in its shadow under the sun in the west.
         bounds = [west + 420.0, north - 900.0, west + 900.0, north - 420.0]
         yield Case(f"beside a hill {altitude}", ground("hill", 270.0, altitude), {**MAP, "bounds": bounds})
         whole = [west - 300.0, north - 1600.0, west + 1600.0, north + 300.0]
@@ -191,7 +207,7 @@ def refraction() -> Iterator[Case]:
         for view_name, view in (("map", MAP), ("perspective", ACROSS)):
             keys = {
                 "terrain": {"source": "hills.tif"}, "sun": {"time": f"2024-04-02T{hour}:00+01:00"},
-                "shadows": {"algorithm": "sweep"},  # no map whose texels turn with the sun
+                "shadows": {"algorithm": "sweep"},  # not a map, whose texels turn with the sun
             }  # fmt: skip
             yield Case(f"hills {view_name} {hour}", keys, view)
     yield Case("angles", ground("hills", 100.0, 10.0), MAP)
@@ -275,9 +291,9 @@ def water() -> Iterator[Case]:
             yield Case(f"level {level} {view_name}", ground("hills", 40.0, 20.0, water={"level": level}), view)
     for altitude in (-30.0, -10.0, -3.0):
         yield Case(f"lake by night {altitude}", ground("hills", 40.0, altitude, water={"level": -40.0}), MAP)
-    for below_m in (-0.01, 0.0, 0.0005, 0.002, 0.01):  # ground that is no farther from the water's height than SHORE_M is water
+    for below_m in (-0.01, 0.0, 0.0005, 0.002, 0.01):  # ground within SHORE_M of the water's height is water
         yield Case(f"floor {below_m} m above the water", ground("floor", water={"level": -below_m}), MAP)
-    for level in (-75.0, -70.0, -60.0):  # ponds that are not where the window is, or vanish in the means of a small map
+    for level in (-75.0, -70.0, -60.0):  # ponds outside the window, or lost in the averages of a small map
         for size in (2, 8, 72):
             yield Case(f"ponds at {level} of {size} pixels", ground("hills", water={"level": level}), {**MAP, "size": [size, size]})
         for east_m in (200.0, 700.0, 1150.0):
@@ -289,7 +305,7 @@ def haze() -> Iterator[Case]:
     for visibility in (1e3, 1e4, 1e5, 3e5, 6e5, 1e6, 1.5e6, 2e6, 3e6, 5e6, 1e7):
         yield Case(f"hills {visibility:g} m", ground("hills", 220.0, 20.0, weather={"visibility": visibility}), ACROSS)
     yield Case("clear", ground("hills", 220.0, 20.0), ACROSS)
-    for distance_m in (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0):  # of the ground below an eye, in clear air
+    for distance_m in (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0):  # ground below an eye, in clear air
         yield Case(f"clear, {distance_m} m above a floor", ground("floor"), eye((0, 0, distance_m), (0, 0.01, 0), 20.0))
     yield Case("map", ground("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
 
@@ -302,6 +318,6 @@ CASES: dict[str, Callable[[], Iterator[Case]]] = {
 """Effect -> its cases."""
 
 MOVES_EDGES = frozenset({"refraction", "soft_edges"})
-"""Effects that move edges, and that are left out where they do so by less than a pixel: a pixel on an edge is on its other side
-then. There a picture is held against the other one's pixel and those beside it.
+"""Effects that move edges, and that are left out if they move them by less than a pixel. A pixel on an edge then changes sides.
+Tests compare it with the other picture's pixel and its neighbours.
 """

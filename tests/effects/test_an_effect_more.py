@@ -1,4 +1,4 @@
-"""A new effect is one file and one word: an effect made up here is planned, run, forced and recorded like any other."""
+"""A new effect is one file and one name: an effect made up here is planned, run, forced and recorded like any other."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_new_effect_is_planned_run_and_recorded(gl, dust, write_raster, make_s
     assert not (render_frame(scene, view, left).color[..., 0].astype(int) - frame.color[..., 2] > 60)[~high].any()
 
 
-def test_where_it_is_not_called_for_its_part_is_not_called(gl, dust, write_raster, make_scene, monkeypatch):
+def test_an_effect_that_is_left_out_is_not_run(gl, dust, write_raster, make_scene, monkeypatch):
     raster = write_raster(np.full((40, 40), 12.0, np.float32), "EPSG:32633", 500_000, 5_300_000, 10.0)
     scene = make_scene(raster)
     effect = effects.EFFECTS["dust"]  # type: ignore[index]

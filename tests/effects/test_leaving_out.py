@@ -1,4 +1,4 @@
-"""Leaving an effect out is right: where the plan does, forcing it on would change nothing; where it runs, it changes something."""
+"""Omission of effects: an omitted effect would change nothing if forced on, and one that runs changes the picture."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from skugga.terrain.level.level import EffectName
 from tests.effects.edges import CASES, MOVES_EDGES, Found, Lab
 
 TIMID = 0.1
-"""Share of an effect's runs that may have changed nothing."""
+"""Maximum share of an effect's runs without any change."""
 
 FALLS_SHORT = {
     "hills map 08:30": 2, "hills perspective 08:30": 4, "post 80.0 degrees, 10.0 m": 8, "post 70.0 degrees, 10.0 m": 8,
     "post 60.0 degrees, 10.0 m": 8, "post 50.0 degrees, 10.0 m": 7, "post 40.0 degrees, 10.0 m": 7,
 }  # fmt: skip
-"""Steps of 255 by which an effect is missed, as measured. Refraction: where light grazes a slope, facets and nodes throw shadows of
-their own size, and one that comes or goes shows more than the edges that move. Soft edges: a pixel on a hard edge shows five
-samples, so its mean is off by up to a fifth, and by less where a penumbra narrower than the pixel softens the edge.
+"""Measured difference in steps of 255 where an effect is left out. Refraction: where light grazes a slope, facets and nodes cast
+shadows of their own size, and one that appears or vanishes changes more than a moved edge. Soft edges: a pixel on a hard edge
+has five samples, so its mean is off by up to a fifth, and by less where a penumbra narrower than the pixel softens the edge.
 """
 
 
@@ -34,15 +34,15 @@ def test_every_effect_has_cases():
 
 @pytest.mark.long
 @pytest.mark.parametrize("effect", CASES)
-def test_what_is_left_out_would_not_be_seen(gl, lab: Lab, effect: str):
+def test_omitted_effects_would_not_be_visible(gl, lab: Lab, effect: str):
     found = [lab.found(effect, case) for case in CASES[effect]()]
     print("\n".join(map(str, found)))
     _check(effect, found)
 
 
 @pytest.mark.parametrize("effect", CASES)
-def test_both_sides_of_the_edge_are_right(gl, lab: Lab, effect: str):
-    """Every fourth case; the long profile has them all."""
+def test_effects_are_right_on_both_sides_of_the_edge(gl, lab: Lab, effect: str):
+    """The test takes every fourth case. The long profile has them all."""
     some = list(CASES[effect]())[::4]
     found = [lab.found(effect, case) for case in some]
     assert not [str(one) for one in found if not one.runs and _difference(effect, one) > FALLS_SHORT.get(one.case, 1)]

@@ -1,4 +1,4 @@
-"""What ran is what was planned, over all bundled levels: passes, effects, and no code of an effect that was left out."""
+"""Passes and effects that ran equal the plan in all bundled levels, and no code of an omitted effect runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from skugga.terrain.scene import Scene, build_scene
 LEVELS = sorted(Path(configs.__file__).parent.glob("*.yaml"), key=lambda path: path.stem)
 
 WITHOUT_OPENGL = (" sweep", " silhouettes")
-"""Passes of shadows that draw nothing."""
+"""Shadow passes without draw calls."""
 
 SIZE = {"map": (96, 72), "perspective": (160, 120)}
 
@@ -47,7 +47,9 @@ def views_of(path: Path) -> list[str]:
 @pytest.mark.parametrize("path", LEVELS, ids=lambda path: path.stem)
 @pytest.mark.parametrize("views", [slice(0, 2), pytest.param(slice(2, None), marks=pytest.mark.long)], ids=["two", "more"])
 def test_the_record_equals_the_plan(gl, scene_of, path: Path, views: slice):
-    """Passes by name and order, effects as told from passes and programs, and nothing drawn or read that no effect calls for."""
+    """Passes agree by name and order, effects follow from passes and programs, and nothing is drawn or read without an
+    effect that needs it.
+    """
     scene = scene_of(path)
     for name in views_of(path)[views]:
         frame = drawn(scene, name)
@@ -67,7 +69,7 @@ def test_the_record_equals_the_plan(gl, scene_of, path: Path, views: slice):
             assert (key in records) == (key in plan.runs)
 
 
-def test_a_level_s_own_sun_filter_is_the_disc_s_program(gl, scene_of):
+def test_the_sun_filter_of_a_level_uses_the_disc_program(gl, scene_of):
     scene = scene_of(next(path for path in LEVELS if path.stem == "jacksboro"))
     view, asked = scene.view("map", size=(64, 48)), {"algorithm": "shadow_map", "filter": "sun"}
     frame = render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level, asked))

@@ -1,4 +1,4 @@
-"""Blocks over level ground, whose shadows under the sun are polygons in closed form, and cameras at an angle to the sun."""
+"""Blocks over level ground, whose sun shadows are polygons in closed form, and cameras at an angle to the sun."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def block(size_m: Sequence[float], at_m: Sequence[float], bottom_m: float = 0.0, turn_deg: float = 0.0) -> trimesh.Trimesh:
-    """A closed block (east, north, up) turned counter-clockwise about its middle, which stands at (east, north)."""
+    """Return a closed block (east, north, up), turned counter-clockwise about its middle, which stands at (east, north)."""
     mesh = trimesh.creation.box(extents=size_m)
     mesh.apply_transform(trimesh.transformations.rotation_matrix(np.radians(turn_deg), UP))
     mesh.apply_translation([*at_m, bottom_m + size_m[2] / 2.0])
@@ -35,20 +35,20 @@ def block(size_m: Sequence[float], at_m: Sequence[float], bottom_m: float = 0.0,
 
 
 def towards(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
-    """The unit direction (3,) of an azimuth, clockwise from north, and an altitude."""
+    """Return the unit direction (3,) of an azimuth, clockwise from north, and an altitude."""
     azimuth, altitude = np.radians([azimuth_deg, altitude_deg])
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
 def shade(blocks: Sequence[trimesh.Trimesh], sun: tuple[float, float]) -> list[shapely.Polygon]:
-    """What convex blocks keep from the sun of the plane z = 0: the hulls of their corners, projected along its rays."""
+    """Return the shadows of convex blocks on the plane z = 0: the hulls of their corners, projected along the sun's rays."""
     way = towards(*sun)
     corners = [mesh.vertices[:, :2] - mesh.vertices[:, 2:] * way[:2] / way[2] for mesh in blocks]
     return [shapely.MultiPoint(each).convex_hull for each in corners]
 
 
 def shaded(x_m: np.ndarray, y_m: np.ndarray, hulls: Sequence[shapely.Polygon]) -> np.ndarray:
-    """Whether points (n,) of the ground lie in any of some polygons, bool (n,)."""
+    """Return whether points (n,) on the ground lie in any of the polygons, bool (n,)."""
     out = np.zeros(len(x_m), bool)
     for hull in hulls:
         west, south, east, north = hull.bounds
@@ -59,20 +59,20 @@ def shaded(x_m: np.ndarray, y_m: np.ndarray, hulls: Sequence[shapely.Polygon]) -
 
 
 def flat(size_m: float = 200.0, cells: int = 20) -> Mapping[str, object]:
-    """A level's ground."""
+    """Return a level's flat terrain."""
     return {"flat": {"size": [size_m, size_m], "cells": [cells, cells]}}
 
 
 def camera(eye_m: Sequence[float], axis: np.ndarray, fov_deg: float = 60.0, px: int = 256, wide: float = 1.0) -> PerspectiveView:
-    """A camera of a flat world that looks along an axis (3,); the picture is ``wide`` times as wide as high."""
+    """Return a camera of a flat world that looks along an axis (3,); the picture is ``wide`` times as wide as high."""
     eye = np.array(eye_m, float)
     return look_at(eye, eye + 10.0 * axis, UP, fov_deg, px, round(px * wide))
 
 
 def axis_off(to_sun: np.ndarray, aside: np.ndarray, angle_deg: float) -> np.ndarray:
-    """The axis (3,) at an angle to the sun's direction, turned from there towards another direction.
+    """Return the axis (3,) at an angle to the sun's direction, turned towards another direction.
 
-    Exact at small angles, and near 90 and 180 degrees, where the angle is taken from there.
+    The result is exact at small angles. Near 90 and 180 degrees the angle is measured from there, so that it is exact as well.
     """
     across = aside - (aside @ to_sun) * to_sun
     across /= np.linalg.norm(across)
@@ -83,7 +83,7 @@ def axis_off(to_sun: np.ndarray, aside: np.ndarray, angle_deg: float) -> np.ndar
 
 
 def on_ground(view: PerspectiveView, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the rays of a camera's pixels, where a mask says, meet the plane z = 0: east and north (n,), metres."""
+    """Return where the rays of a camera's masked pixels meet the plane z = 0: east and north (n,), metres."""
     row, col = np.nonzero(which)
     across, down = (view.col0 + col * view.step) / view.focal_px, (view.row0 + row * view.step) / view.focal_px
     ray = np.stack([across, down, np.ones(len(row))], axis=-1) @ view.earth_from_camera.T
@@ -93,9 +93,9 @@ def on_ground(view: PerspectiveView, which: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
-    """Truth on the level ground z = 0 that a camera sees, from the polygons of its shadow; everything else is left out.
+    """Return truth on the visible level ground z = 0, computed from the polygons of its shadow; it excludes everything else.
 
-    As in ``skugga.shadows.truth.truth`` a pixel is decidable if four rays through it, taken to the ground, have one answer.
+    As in ``skugga.shadows.truth.truth``, a pixel is decidable if four rays through it, traced to the ground, have the same answer.
     """
     view = seen.view
     assert isinstance(view, PerspectiveView)
@@ -109,10 +109,11 @@ def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
 
 @dataclass(frozen=True)
 class OnGround:
-    """Figures of ``skugga.shadows.truth.metrics`` on level ground, and what they see of its shadow.
+    """Error metrics (``skugga.shadows.truth.metrics``) on level ground, and their coverage of its shadow.
 
-    ``displaced`` is how many pixels are wrong, as a share of those over which the texels of a map displace the shadow's edges: by a
-    quarter of a texel's side in the mean, times the edges' length. Texels of over ``MAX_TEXEL_PX`` excuse no more than such.
+    ``displaced`` is the number of wrong pixels, as a share of the pixels over which a map's texels displace the shadow's edges. The
+    mean displacement is a quarter of a texel's side; the share's denominator is that times the edges' length. Texels larger than
+    ``MAX_TEXEL_PX`` count as ``MAX_TEXEL_PX``.
     """
 
     interior: float
@@ -123,9 +124,9 @@ class OnGround:
 
 
 def figures_on_ground(seen: Seen, truth: Truth, hulls: Sequence[shapely.Polygon]) -> OnGround:
-    """The figures against the polygons of the shadow, and ``true_shade`` of them.
+    """Return the errors against the polygons of the shadow, and ``true_shade`` of these.
 
-    The outline may be hidden by what stands before it: what lies within two texels of it on the ground is no interior either.
+    A caster in front may hide the outline. Pixels within two texels of the outline on the ground are therefore not interior either.
     """
     view, texels_px = seen.view, seen.texels_px
     assert isinstance(view, PerspectiveView)

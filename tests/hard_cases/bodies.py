@@ -1,4 +1,4 @@
-"""Bodies for hard cases, what is looked at, and how it is judged."""
+"""Bodies, views and error figures that the hard cases share."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SPOT: dict[str, Any] = {"kind": "spot", "position": [-14, -18, 24], "target": [2
 
 
 def eye(at: Any, target: Any, fov: float = 60.0) -> dict[str, Any]:
-    """A view of a level: metres east, north and up."""
+    """Return a view of a level: metres east, north and up."""
     return {"kind": "perspective", "eye": list(at), "target": list(target), "fov": fov}
 
 
@@ -36,17 +36,18 @@ EYES = {
     "in the shadow, towards the light": eye((2, 6, 0.5), (-2, -6, 8)),
     "looking along the lit cap": eye((20, 20, 5), (0, 2, 5)),
 }
-"""Where an eye may be round a house of 8 by 6 by 5 m at the middle of the floor."""
+"""Eyes round a house of 8 by 6 by 5 m at the middle of the floor."""
 
 
 def size_of(thorough: bool) -> tuple[int, int]:
-    """Columns and rows of a case's pictures."""
+    """Return the columns and rows of a case's pictures."""
     return (288, 216) if thorough else (120, 90)
 
 
 def _held(seen: Seen, truth: Truth | None) -> Truth:
-    """The truth that an algorithm is held against (by rays, unless another is given), where it promises anything: projected shadows
-    fall on the ground alone.
+    """Return the truth (by rays, unless another is given) where the algorithm makes a promise.
+
+    Projected shadows fall on the ground only, so truth is limited to the ground for them.
     """
     truth = truth or seen.truth
     if any(step.algorithm == "planar" for step in seen.plan.steps_under(seen.light)):
@@ -55,27 +56,27 @@ def _held(seen: Seen, truth: Truth | None) -> Truth:
 
 
 def errors(seen: Seen, truth: Truth | None = None) -> ErrorMetrics:
-    """An algorithm's errors where it promises anything."""
+    """Return an algorithm's errors where it makes a promise."""
     return error_metrics(seen.visibility, _held(seen, truth), 1.0, seen.texels_px)
 
 
 def interior_sight(seen: Seen, truth: Truth | None = None) -> MetricCoverage:
-    """What the interior of these errors sees of the cast shadow."""
+    """Return the coverage of the cast shadow by the interior of these errors."""
     truth = _held(seen, truth)
     return metric_coverage(seen.dark, truth, interior_region(truth, seen.texels_px))
 
 
 def whole_sight(seen: Seen, truth: Truth | None = None) -> MetricCoverage:
-    """What a figure sees that counts every decidable pixel."""
+    """Return the coverage of a figure that counts every decidable pixel."""
     truth = _held(seen, truth)
     return metric_coverage(seen.dark, truth, truth.decidable)
 
 
 def truth_of_boxes(seen: Seen, boxes: list[trimesh.Trimesh], to_sun: np.ndarray) -> Truth:
-    """Closed form of the sun's shadow that boxes, square to the axes, throw on level ground: decidable is what has ground of its
-    own class all round it.
+    """Return the closed form of the sun's shadow of axis-aligned boxes on level ground.
 
-    A ray is in a box while it is between the box's planes along each axis (T. Kay and J. Kajiya, Ray Tracing Complex Scenes, 1986).
+    Ground is decidable if all its neighbours have the same class. A ray is in a box while it is between the box's planes along each
+    axis (T. Kay and J. Kajiya, Ray Tracing Complex Scenes, 1986).
     """
     points = seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m
     dark = np.zeros(points.shape[:2], bool)
@@ -89,12 +90,12 @@ def truth_of_boxes(seen: Seen, boxes: list[trimesh.Trimesh], to_sun: np.ndarray)
 
 
 def not_a_number(seen: Seen) -> int:
-    """How many pixels of a surface have no visibility in [0, 1]."""
+    """Return the number of surface pixels without a visibility in [0, 1]."""
     return int((~((seen.visibility >= 0.0) & (seen.visibility <= 1.0)) & seen.buffer.valid).sum())
 
 
 def differing(one: Seen, other: Seen) -> int:
-    """How many pixels differ between two visibilities of one view."""
+    """Return the number of pixels that differ between two visibilities of one view."""
     return int((~np.isclose(one.visibility, other.visibility, rtol=0.0, atol=0.0, equal_nan=True)).sum())
 
 
@@ -103,18 +104,18 @@ def joined(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def grounded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """With a pebble on the ground beside it: what hovers is not set down."""
+    """Return the mesh with a pebble on the ground beside it: the engine then leaves bodies that hover where they are."""
     return joined(mesh, box((0.02, 0.02, 0.02), at_m=(14.0, 14.0)))
 
 
 def soup(corners: Any) -> trimesh.Trimesh:
-    """Triangles, corner by corner."""
+    """Return triangles without shared vertices, corner by corner."""
     points = np.array(corners, float)
     return trimesh.Trimesh(points.reshape(-1, 3), np.arange(3 * len(points)).reshape(-1, 3), process=False)
 
 
 def without(mesh: trimesh.Trimesh, gone: np.ndarray | int) -> trimesh.Trimesh:
-    """A mesh without some of its triangles."""
+    """Return a mesh without some of its triangles."""
     return trimesh.Trimesh(mesh.vertices, np.delete(mesh.faces, gone, axis=0), process=False)
 
 
@@ -134,12 +135,12 @@ def sheet() -> trimesh.Trimesh:
 
 
 def three_walls() -> trimesh.Trimesh:
-    """Three walls that share an upright edge."""
+    """Return three walls that share an upright edge."""
     ends = [[5 * np.cos(turn), 5 * np.sin(turn)] for turn in (0.3, 2.4, 4.5)]
     return soup([t for x, y in ends for t in ([[0, 0, 0], [x, y, 0], [x, y, 6]], [[0, 0, 0], [x, y, 6], [0, 0, 6]])])
 
 
 def plates(count: int, gap_m: float = 0.05) -> trimesh.Trimesh:
-    """Squares of 6 m above one another, the lowest one metre up."""
+    """Return squares of 6 m above one another, the lowest one metre up."""
     square = [[[-3, -3], [3, -3], [3, 3]], [[-3, -3], [3, 3], [-3, 3]]]
     return grounded(soup([[[x, y, 1 + gap_m * n] for x, y in corners] for n in range(count) for corners in square]))

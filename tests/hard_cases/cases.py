@@ -1,9 +1,9 @@
-"""The catalogue of hard cases: what is set up, what must hold, and by how much it may be missed.
+"""The catalogue of hard cases: the scene, what must hold, and the tolerance.
 
-A case is a function of a ``Trial``: it makes its level, has an algorithm fill the visibility of what it looks at, and returns
-the figures that its bounds are for. ``hard_case`` registers it and turns it into tests, one for each algorithm: a quick one on
-small pictures, and a thorough one. What an algorithm cannot serve must be refused, in the very words of
-its capabilities: that is recorded as a refusal. Every figure goes into the table at the end of a run.
+A case is a function of a ``Trial``. It makes a level, has an algorithm fill the visibility of a view, and returns the figures that
+its bounds apply to. ``hard_case`` registers it and makes tests of it, one for each algorithm: a quick one on small pictures, and a
+thorough one. An algorithm must refuse what it cannot serve, in the words of its capabilities; the record then holds a refusal. The
+table at the end of a run shows every figure.
 """
 
 from __future__ import annotations
@@ -27,7 +27,14 @@ from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
-from skugga.shadows.truth.metrics import MIN_SIGHT, ErrorMetrics, MetricCoverage, error_metrics, interior_region, metric_coverage
+from skugga.shadows.truth.metrics import (
+    MIN_COVERED_SHARE,
+    ErrorMetrics,
+    MetricCoverage,
+    error_metrics,
+    interior_region,
+    metric_coverage,
+)
 from skugga.shadows.truth.truth import Truth, trace_truth
 from skugga.shadows.visibility import fill_steps
 from skugga.terrain.casters.reach import Casters, find_casters
@@ -42,29 +49,29 @@ from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 
 SHADOWING = ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep")
-"""The algorithms that throw shadows, but for the reference."""
+"""The algorithms that cast shadows, without the reference."""
 
 ENGINE = "engine"
-"""In the place of an algorithm: for what holds or fails whatever the algorithm."""
+"""Stands for the algorithm in cases that do not depend on it."""
 
 JUDGED = re.compile("interior|missed_shadow|wrong|edge")
-"""Figures that judge shadow pixel by pixel or by its edges: each has to say how much of the cast shadow it can see."""
+"""Figures that judge shadow by pixels or by edges: each must state its coverage of the cast shadow."""
 
 COUNTED_PX = 100
-"""Of pictures with less cast shadow a share says nothing of how much of it is wrong."""
+"""Below this number of cast shadow pixels a share does not say how much of the shadow is wrong."""
 
 RECORD = "hard_case"
-"""Key under which a test reports its figures."""
+"""The key under which a test reports its figures."""
 
 View = MapView | PerspectiveView
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What an algorithm makes of a view under one light: points, their visibility, and truth beside it.
+    """An algorithm's picture of a view under one light: points, their visibility, and truth.
 
-    ``visibility`` (rows, cols) float32 in [0, 1], attached shadow included, NaN off the surface. It is of the pixels' own points:
-    no samples for smooth edges.
+    ``visibility`` (rows, cols) is float32 in [0, 1] with attached shadow, NaN off the surface. It applies to the pixels' own
+    points, without samples for smooth edges.
     """
 
     scene: Scene
@@ -78,7 +85,7 @@ class Seen:
 
     @property
     def dark(self) -> np.ndarray:
-        """The class of each pixel: shadow on a surface."""
+        """Return the class of each pixel: shadow on a surface."""
         return np.nan_to_num(self.visibility, nan=1.0) < 0.5
 
     @cached_property
@@ -87,29 +94,29 @@ class Seen:
 
     @cached_property
     def errors(self) -> ErrorMetrics:
-        """Every figure of ``skugga.shadows.truth.metrics`` against truth."""
+        """All figures of ``skugga.shadows.truth.metrics`` against truth."""
         return error_metrics(self.visibility, self.truth, self.pixel_m, self.texels_px)
 
     @cached_property
     def pixel_m(self) -> float:
-        """A pixel's side, metres."""
+        """The side of a pixel, metres."""
         return describe(self.scene, self.view, pixel_sampling="points").pixel_m
 
     @cached_property
     def texels_px(self) -> np.ndarray:
-        """The larger side of the widest texels on level ground, in pixels (rows, cols); 0 without maps."""
+        """The larger side of the largest texels on level ground, in pixels (rows, cols); 0 without maps."""
         steps = self.plan.steps_under(self.light)
         return np.max([texel_footprint_px(self.scene, step, self.buffer, self.pixel_m) for step in steps or [None]], axis=0)
 
     @cached_property
     def interior_sight(self) -> MetricCoverage:
-        """What ``errors.interior`` sees of the cast shadow."""
+        """The coverage of the cast shadow by ``errors.interior``."""
         return metric_coverage(self.dark, self.truth, interior_region(self.truth, self.texels_px))
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One run of a case: by which algorithm, how thoroughly, and a folder of its own for files."""
+    """One run of a case: the algorithm, whether it is thorough, and a temporary folder."""
 
     algorithm: str
     thorough: bool
@@ -117,7 +124,7 @@ class Trial:
     sights: dict[str, list[MetricCoverage]] = field(default_factory=dict)
 
     def saw(self, figure: str, *sights: MetricCoverage) -> None:
-        """Put on record what a figure could see of the cast shadow in some pictures."""
+        """Record the coverage of the cast shadow by a figure in some pictures."""
         self.sights.setdefault(figure, []).extend(sights)
 
     def scene(
@@ -128,7 +135,7 @@ class Trial:
         name: str = "level",
         **keys: Any,
     ) -> Scene:
-        """The scene of a level; ``terrain`` is a raster's path or the key's value, ``sun`` (azimuth, altitude) in degrees.
+        """Build the scene of a level; ``terrain`` is a raster's path or the key's value, ``sun`` (azimuth, altitude) in degrees.
 
         Meshes may be bodies, whose heights count from the ground at (0, 0) below them.
         """
@@ -151,14 +158,14 @@ class Trial:
         return build_scene(load_level(path))
 
     def raster(self, heights: np.ndarray, crs: str, x0: float, y0: float, cell: Any, name: str = "dem", **options: Any) -> Path:
-        """A GeoTIFF of heights whose north-west corner is (x0, y0)."""
+        """Write a GeoTIFF of heights whose north-west corner is (x0, y0)."""
         return write_geotiff(self.folder / f"{name}.tif", heights, crs, x0, y0, cell, **options)
 
     def see(self, scene: Scene, view: View | None = None, light: str | None = None, **asked: Any) -> Seen:
-        """A view (of one block) with this trial's algorithm; ``asked`` are further settings, as in a level's ``shadows``.
+        """Draw a view (of one block) with this trial's algorithm; ``asked`` are further settings, as in a level's ``shadows``.
 
-        While the sun shines the algorithm runs whether or not anything is known to cast: that nothing does must come out of it.
-        Raises ``UnsupportedError`` where the algorithm cannot serve it.
+        While the sun shines the algorithm runs even if the plan finds no casters: its output must show that there are none. Raises
+        ``UnsupportedError`` if the algorithm cannot serve the view.
         """
         view = view or scene.view()
         level = scene.loaded.level
@@ -179,7 +186,7 @@ Measure = Callable[[Trial], Mapping[str, float]]
 
 @dataclass(frozen=True)
 class Case:
-    """A hard case: ``bounds`` says for each figure that is measured how large it may be."""
+    """A hard case: ``bounds`` gives the upper bound of each measured figure."""
 
     id: str
     title: str
@@ -188,7 +195,7 @@ class Case:
     measure: Measure = field(repr=False)
 
     def run(self, algorithm: str, thorough: bool, folder: Path) -> dict[str, Any]:
-        """The record of a trial: ``figures`` by name, or the reason of a ``refusal``."""
+        """Return the record of a trial: ``figures`` by name, or the reason of a ``refusal``."""
         record: dict[str, Any] = {
             "id": self.id, "title": self.title, "set_up": self.set_up, "bounds": dict(self.bounds), "algorithm": algorithm,
             "thorough": thorough,
@@ -208,8 +215,10 @@ class Case:
 
 
 def told(sights: list[MetricCoverage]) -> dict[str, float]:
-    """``wrong_cast`` of the worst picture and ``covered_share`` of all; of all together, if none has much. Nothing where none has
-    any.
+    """Return ``wrong_cast`` of the worst picture and ``covered_share`` of all pictures.
+
+    If no picture has much cast shadow, ``wrong_cast`` is that of all pictures together. Without any cast shadow the result is
+    empty.
     """
     counts = zip(*((each.cast_px, each.covered_px, each.wrong_px, each.either_px) for each in sights), strict=True)
     together = MetricCoverage(*(sum(each) for each in counts)) if sights else MetricCoverage(0, 0, 0, 0)
@@ -218,22 +227,24 @@ def told(sights: list[MetricCoverage]) -> dict[str, float]:
 
 
 def untested(record: Mapping[str, Any]) -> list[str]:
-    """The names of a trial's figures that see less than ``MIN_SIGHT`` of the cast shadow: they could not tell if it were lost."""
-    return [name for name, sight in record.get("sights", {}).items() if sight and sight["sees"] < MIN_SIGHT]
+    """Return the names of figures whose coverage of the cast shadow is below ``MIN_COVERED_SHARE``: these could not notice its
+    loss.
+    """
+    return [name for name, sight in record.get("sights", {}).items() if sight and sight["sees"] < MIN_COVERED_SHARE]
 
 
 def over(record: Mapping[str, Any]) -> list[str]:
-    """The names of a trial's figures that lie above their bounds; one that is no number does."""
+    """Return the names of a trial's figures that exceed their bounds; NaN does."""
     return [name for name, value in record.get("figures", {}).items() if not value <= record["bounds"][name]]
 
 
 def failures(record: Mapping[str, Any]) -> str:
-    """What of a trial's record lies above its bound, in words; nothing if all of it holds."""
+    """Describe which figures of a trial's record exceed their bounds; empty if all hold."""
     return "; ".join(f"{name} {record['figures'][name]:.6g} over {record['bounds'][name]:g}" for name in over(record))
 
 
 def short_as_known(record: Mapping[str, Any], known: Mapping[str, float]) -> bool:
-    """Whether a trial fails by nothing but figures that are known to be as large as ``known`` says."""
+    """Return whether a trial exceeds its bounds only by figures that are at most as large as ``known`` says."""
     names = over(record)
     return bool(names) and all(name in known and record["figures"][name] <= known[name] for name in names)
 
@@ -249,10 +260,10 @@ def hard_case(
 ) -> Callable[[Measure], Callable[..., None]]:
     """Register a case and make tests of its function; the case itself is the test's attribute ``case``.
 
-    Each algorithm has a quick run and a thorough one. All thorough runs take too long for a build: one of each case, of an
-    algorithm that its id decides, is among the long tests, and all of them are marked ``thorough``. With ``thorough`` false there
-    is none: the quick one is all there is to do. ``falls_short`` has by algorithm and figure
-    what is known to lie above its bound, as it was measured: such a trial is an expected failure, and a failure if it gets worse.
+    Each algorithm has a quick run and a thorough one. All thorough runs take too long for a build. Therefore the long tests contain
+    one thorough run of each case, of an algorithm that the case's id decides; all thorough runs have the mark ``thorough``. With
+    ``thorough`` false only the quick run exists. ``falls_short`` gives, by algorithm and figure, the measured value of figures that
+    are known to exceed their bounds. Such a trial is an expected failure, and a failure if the figure grows.
     """
 
     def register(measure: Measure) -> Callable[..., None]:

@@ -1,4 +1,4 @@
-"""Views of whole levels, and where their pixels lie: what the cases about rasters and suns share."""
+"""Views of whole levels and the positions of their pixels, for cases about rasters and suns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FOV_DEG = 40.0
 
 
 def whole(trial: Trial, scene: Scene, pixels: int) -> View:
-    """The level from above, at most ``pixels`` a side: as a map; from a camera for the algorithm that maps are nothing for."""
+    """Return the level from above, at most ``pixels`` a side: as a map, or from a camera for algorithms without maps."""
     if trial.algorithm != "perspective_shadow_map":
         west, south, east, north = scene.elevation.bounds
         sides = np.array([east - west, north - south])
@@ -30,7 +30,7 @@ def whole(trial: Trial, scene: Scene, pixels: int) -> View:
 
 
 def close(trial: Trial, scene: Scene, at: tuple[float, float], height_m: float, extent_m: float, pixels: int) -> View:
-    """A square of a level, so many metres a side, round a place in its raster's CRS, from above: as ``whole`` shows all of it."""
+    """Return a square of a level from above, as ``whole`` does: ``extent_m`` a side, round a place in its raster's CRS."""
     if trial.algorithm != "perspective_shadow_map":
         (x, y), half_m = at, extent_m / 2.0
         return scene.view(bounds=(x - half_m, y - half_m, x + half_m, y + half_m), size=(pixels, pixels))
@@ -40,7 +40,7 @@ def close(trial: Trial, scene: Scene, at: tuple[float, float], height_m: float, 
 def _from_above(
     scene: Scene, at: tuple[float, float], height_range_m: tuple[float, float], extent_m: float, pixels: int
 ) -> PerspectiveView:
-    """A camera that looks down at so much ground round a place in the raster's CRS, from a little south of it."""
+    """Return a camera that looks down at a square round a place in the raster's CRS, from a little south of it."""
     elevation = scene.elevation
     point, up = scene.world.ground(elevation.crs, np.float64(at[0]), np.float64(at[1]))
     distance_m = extent_m / 2 / np.tan(np.radians(FOV_DEG / 2))
@@ -51,7 +51,7 @@ def _from_above(
 
 
 def places(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
-    """x and y of the pixels' points in the raster's CRS, (rows, cols) each; NaN off the surface."""
+    """Return x and y of the pixels' points in the raster's CRS, (rows, cols) each; NaN off the surface."""
     frame = seen.buffer.frame
     earth = frame.origin_earth_m + seen.buffer.position_frame_m @ frame.frame_from_earth
     x, y, _ = seen.scene.world.map_position(seen.scene.elevation.crs, earth)
@@ -59,5 +59,5 @@ def places(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
 
 
 def share(part: np.ndarray, of: np.ndarray) -> float:
-    """Share of the pixels ``of`` that are in ``part`` too, NaN of none: a case must have something to look at."""
+    """Return the share of the pixels ``of`` that are in ``part`` too, NaN if ``of`` is empty: a case must have pixels to judge."""
     return float(np.count_nonzero(part & of) / np.count_nonzero(of)) if of.any() else float("nan")

@@ -1,7 +1,7 @@
-"""New situations for case X1, drawn on purpose: the tests draw the same ones every time.
+"""New random situations for case X1; the tests use the same situations every time.
 
-``python -m tests.hard_cases.hunt [ALGORITHM ...] [--examples N] [--seed S]`` prints each situation over its bound as a line
-that may be put into ``FOUND`` of ``tests.hard_cases.test_properties``, and what it was over by. It exits with 1 if there was any.
+``python -m tests.hard_cases.hunt [ALGORITHM ...] [--examples N] [--seed S]`` prints each situation that exceeds its bounds, and the
+figures that do, as a line for ``FOUND`` of ``tests.hard_cases.test_properties``. It exits with 1 if it finds any.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from tests.hard_cases.test_properties import ALGORITHMS, SITUATIONS, Situation, 
 
 
 def hunt(algorithm: str, examples: int, first: int) -> int:
-    """How many situations over their bounds an algorithm has among those of a seed; each is printed as it is found."""
+    """Print and count the situations of a seed that exceed an algorithm's bounds."""
     found = 0
     with TemporaryDirectory() as folder:
         trial = Trial(algorithm, False, Path(folder))
 
-        # Generated only: nothing is shrunk, and none ends the hunt.
+        # Only the generate phase: the search neither shrinks an example nor stops at one.
         @seed(first)
         @settings(
             max_examples=examples, database=None, deadline=None, derandomize=False, phases=[Phase.generate],
@@ -36,7 +36,7 @@ def hunt(algorithm: str, examples: int, first: int) -> int:
             try:
                 figures: object = outcome(trial, it)
                 sound = within_bounds(figures)
-            except Exception as error:  # whatever it is, it is a find
+            except Exception as error:  # any exception is a find
                 figures, sound = repr(error), False
             if not sound:
                 found += 1

@@ -1,4 +1,4 @@
-"""Grounds whose shadows are known in closed form, and views of them that every algorithm can be asked for."""
+"""Terrains whose shadows are known in closed form, and views of them for every algorithm."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from tests.hard_cases.cases import Seen, Trial, View
 from tests.rasters import ENGINEERING
 
 MERIDIAN_DEG, TIP_DEG = 15.0, 45.0
-"""Longitude and latitude where a far ridge's shadow shall end."""
+"""Longitude and latitude where the shadow of a distant ridge ends."""
 
 GEODESIC = Geod(ellps="WGS84")
 
 
 def tilted_plane(trial: Trial, slope_deg: float, towards_deg: float) -> Path:
-    """The raster of a plane 960 m wide, at height 0 in the middle, that falls by a slope towards an azimuth."""
+    """Return the raster of a plane 960 m wide, at height 0 in the middle, that descends by a slope towards an azimuth."""
     axis = (np.arange(96) - 47.5) * 10.0
     east, north = np.meshgrid(axis, -axis)
     facing = np.radians(towards_deg)
@@ -36,13 +36,13 @@ def tilted_plane(trial: Trial, slope_deg: float, towards_deg: float) -> Path:
 
 
 def normal_of(slope_deg: float, towards_deg: float) -> np.ndarray:
-    """Unit normal (3,) of such a plane, east, north, up."""
+    """Return the unit normal (3,) of such a plane, east, north, up."""
     slope, facing = np.radians(slope_deg), np.radians(towards_deg)
     return np.array([np.sin(slope) * np.sin(facing), np.sin(slope) * np.cos(facing), np.cos(slope)])
 
 
 def views_of(trial: Trial, scene: Scene, size: int, **of_map: Any) -> Iterator[View]:
-    """The map and the perspective view ``eye``; for what has no maps the latter alone."""
+    """Return the map and the perspective view ``eye``; only the latter for algorithms without maps."""
     if trial.algorithm != "perspective_shadow_map":
         yield scene.view(size=(size, size), **of_map)
     yield scene.view("eye", size=(size, size))
@@ -52,7 +52,7 @@ Change = Callable[[AlgorithmSettings], AlgorithmSettings]
 
 
 def changed(seen: Seen, change: Change) -> Seen:
-    """The same picture by a plan whose settings were changed."""
+    """Return the same picture by a plan with changed settings."""
     settings = {light: {kind: change(its) for kind, its in kinds.items()} for light, kinds in seen.plan.settings.items()}
     plan = seen.plan.model_copy(update={"settings": settings})
     log = PassLog()
@@ -66,7 +66,7 @@ def changed(seen: Seen, change: Change) -> Seen:
 class FarPeak:
     """A mesa in the south whose shadow ends ``length_m`` from its northern upper edge, under a sun in the south.
 
-    ``edge`` is the middle of that edge in the raster's CRS, ``beside`` how far beside it, in the same units, is looked at.
+    ``edge`` is the middle of that edge in the raster's CRS. ``beside`` is the lateral range that is compared, in the same units.
     ``map_bounds`` and the view ``eye`` of the scene show where the shadow ends.
     """
 
@@ -77,7 +77,9 @@ class FarPeak:
     map_bounds: tuple[float, float, float, float]
 
     def lengths_m(self, seen: Seen) -> np.ndarray:
-        """How far from the mesa's edge a picture's points lie on the ground, (rows, cols), metres; NaN beside the mesa's middle."""
+        """Return the distance of a picture's points from the mesa's edge on the ground, (rows, cols), metres; NaN outside the
+        lateral range.
+        """
         frame = seen.buffer.frame
         earth = frame.origin_earth_m + seen.buffer.position_frame_m @ frame.frame_from_earth
         x, y, _ = self.scene.world.map_position(self.scene.elevation.crs, earth)
@@ -91,7 +93,7 @@ class FarPeak:
         return out
 
     def length_error(self, seen: Seen) -> float:
-        """By what share of its length the shadow is longer or shorter anywhere behind the mesa's middle."""
+        """Return the largest error of the shadow's length behind the mesa's middle, as a share of the length."""
         distance_m = self.lengths_m(seen)
         dark, lit = distance_m[seen.dark], distance_m[seen.buffer.valid & ~seen.dark]
         dark, lit = dark[np.isfinite(dark)], lit[np.isfinite(lit)]
@@ -100,7 +102,7 @@ class FarPeak:
 
 
 def far_peak(trial: Trial, height_m: float, altitude_deg: float, round_m: float, curved: bool) -> FarPeak:
-    """A mesa 4 km wide, and level ground. On the globe the sun's altitude is that at the anchor, where the shadow ends."""
+    """Return a mesa 4 km wide on level ground. On the globe the sun's altitude applies at the anchor, where the shadow ends."""
     make = _peak_on_the_globe if curved else _peak_on_the_plane
     return make(trial, height_m, altitude_deg, round_m)
 
@@ -125,9 +127,9 @@ def _peak_on_the_plane(trial: Trial, height_m: float, altitude_deg: float, round
 
 
 def _peak_on_the_globe(trial: Trial, height_m: float, altitude_deg: float, round_m: float) -> FarPeak:
-    """In the meridian's plane all is plane geometry: the shadow ends where the ray past the edge meets the ellipsoid."""
+    """Return the mesa on the globe. In the meridian's plane the shadow ends where the ray past the edge meets the ellipsoid."""
     cell, cols, rows = 0.002, 60, 1001
-    middle = rows // 2  # of this row the cells' centres lie on the parallel of the anchor
+    middle = rows // 2  # the centres of this row's cells lie on the parallel of the anchor
     earth = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
 
     def point(lat: float, up_m: float = 0.0) -> np.ndarray:
@@ -140,7 +142,7 @@ def _peak_on_the_globe(trial: Trial, height_m: float, altitude_deg: float, round
     aside = np.cross(up, south)
 
     def above_ray(lat: float, edge_lat: float) -> float:
-        """How far the edge lies above the sun's ray to the ground at a latitude, metres."""
+        """Return the height of the edge above the sun's ray to the ground at a latitude, metres."""
         return float(np.cross(point(edge_lat, height_m) - point(lat), to_sun) @ aside)
 
     guess = brentq(lambda lat: above_ray(TIP_DEG, lat), TIP_DEG - 1.5, TIP_DEG - 0.05)

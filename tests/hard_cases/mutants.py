@@ -1,7 +1,7 @@
-"""The engine broken on purpose, and the hard cases that must notice.
+"""Deliberate defects of the engine, and the hard cases that must detect them.
 
-``python -m tests.hard_cases.mutants NAME`` breaks it in a process of its own, where nothing is kept from before, runs the cases
-that are named for that, and prints the records of their trials as JSON. A case that noticed has a figure over its bound, or failed.
+``python -m tests.hard_cases.mutants NAME`` applies a defect in a fresh process without caches, runs the cases that are named for
+it, and prints the records of their trials as JSON. A case detects the defect if a figure exceeds its bound or if the case fails.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CaseName = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Mutant:
-    """What is broken, how, and by which cases it must be found."""
+    """A defect: its description, how it is applied, and the cases that must detect it."""
 
     about: str
     breaks: Callable[[], None]
@@ -71,12 +71,12 @@ def _near_plane() -> None:
 
     matrix, rank = post_perspective.camera_matrix, count()
     post_perspective.camera_matrix = lambda camera, tangent, near_m, far_m, slide_m: matrix(camera, tangent, 1e-6, far_m, 0.0)
-    # By the texels that it gives it would lose to a uniform map: it is taken all the same.
+    # Its texels would lose to those of a uniform map: use it all the same.
     post_perspective._texel = lambda *seen: float(next(rank))
 
 
 def _flat_earth() -> None:
-    """The plane that touches the earth where far shadows end."""
+    """Replace the earth by the tangent plane at the place where distant shadows end."""
     from skugga.terrain.geo import world
     from tests.hard_cases.landscapes import MERIDIAN_DEG, TIP_DEG
 
@@ -114,7 +114,7 @@ def _one_diagonal() -> None:
 
 
 def _first_facet() -> None:
-    """A point that several facets share goes by the first that is found, whatever the light."""
+    """Let a point that several facets share use the first facet, whatever the light."""
     from skugga.shadows import attached
     from skugga.shadows.truth import truth
     from skugga.terrain.gbuffer.light_facing import FacingNormals
@@ -204,11 +204,11 @@ MUTANTS = {
          ("test_bias", "test_a_cube_touches_its_shadow", "shadow_map")),
     ),
 }  # fmt: skip
-"""By name. Each case is run quickly; its bounds are those of the suite."""
+"""Mutants by name. Each case runs in its quick way, with the bounds of the suite."""
 
 
 def records(name: str) -> list[dict[str, Any]]:
-    """The records of the cases of a mutant, run quickly on the broken engine; ``error`` says how one failed outright."""
+    """Return the records of a mutant's cases, run in their quick way on the defective engine; ``error`` describes a failed one."""
     mutant, out = MUTANTS[name], []
     cases = [
         (getattr(importlib.import_module(f"tests.hard_cases.{module}"), test).case, algorithm)
@@ -219,7 +219,7 @@ def records(name: str) -> list[dict[str, Any]]:
         with TemporaryDirectory() as folder:
             try:
                 out.append(case.run(algorithm, False, Path(folder)))
-            except AssertionError as error:  # nothing is there that could be measured
+            except AssertionError as error:  # an assertion failed before anything could be measured
                 out.append({"id": case.id, "algorithm": algorithm, "error": str(error)})
     return out
 

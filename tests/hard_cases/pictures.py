@@ -1,4 +1,4 @@
-"""Some of the hard cases as pictures, on one sheet.
+"""Contact sheet of some hard cases.
 
 python -m tests.hard_cases.pictures [docs/images/hard-cases.webp]
 """
@@ -34,13 +34,13 @@ PAPER, INK = (255, 255, 255), (24, 24, 24)
 
 
 def picture(scene: Scene, view: View, **asked: Any) -> Image.Image:
-    """A view in colour; white where there is nothing."""
+    """Return a view in colour, white off the surface."""
     frame = render(scene, view, **asked)
     return Image.fromarray(np.where(frame.opaque[..., None], frame.color, 255).astype(np.uint8))
 
 
 def shade(scene: Scene, view: View, **asked: Any) -> Image.Image:
-    """What the sun reaches of a view, white, and what it does not, dark: for suns so low that colours hardly differ."""
+    """Return a view's visibility, lit white and shadow dark: under low suns colours hardly differ."""
     visibility = np.nan_to_num(render(scene, view, **asked).visibility, nan=1.0)
     return Image.fromarray(np.rint(90.0 + 150.0 * visibility).astype(np.uint8)).convert("RGB")
 
@@ -52,8 +52,9 @@ def bodies(trial: Trial) -> Image.Image:
 
 
 def curvature(trial: Trial) -> Image.Image:
-    """The same mesa under the same sun in a flat world, and below it on the globe: 190 km from left to right, 8 km from top to
-    bottom, shown three times as high. The sun stands to the left.
+    """Return the same mesa under the same sun in a flat world, and below it on the globe.
+
+    The panel shows 190 km from left to right and 8 km from top to bottom, three times as high. The sun stands to the left.
     """
     strips = []
     for curved in (False, True):
@@ -82,7 +83,7 @@ def holes(trial: Trial) -> Image.Image:
 
 
 def masks(trial: Trial) -> Image.Image:
-    """Wires of half a texel by both masks of the hybrid."""
+    """Return wires of half a texel by both masks of the hybrid."""
     anchor = block((0.02, 0.02, 0.02), (SIDE_M, SIDE_M))
     meshes = [trimesh.util.concatenate([*wires(0.5 * SIDE_M / 61), anchor])]
     scene, halves = trial.scene(flat(), SUN, meshes, "wires"), []
@@ -120,7 +121,7 @@ PANELS: dict[str, Callable[[Trial], Image.Image]] = {
 
 
 def sheet() -> Image.Image:
-    """All panels, three in a row, each with its caption."""
+    """Return all panels, three in a row, each with its caption."""
     rows = -(-len(PANELS) // 3)
     out = Image.new("RGB", (3 * WIDTH_PX + 4 * GAP_PX, rows * (HEIGHT_PX + 2 * TEXT_PX + GAP_PX) + GAP_PX), PAPER)
     draw, font = ImageDraw.Draw(out), ImageFont.load_default(TEXT_PX)

@@ -1,8 +1,8 @@
-"""How far off an algorithm may look: a wrong pixel is within its error bound if truth has the other answer within that reach.
+"""The spatial tolerance of an algorithm: a wrong pixel is within its error bound if truth has the other answer within that reach.
 
-A map answers for the centres of the texels round the point, on the plane that is seen there, and holds positions in float32 and
-depths in steps. A volume answers for the point itself, but for the rasteriser's grid of 1/256 pixel and float32. The line sweep
-answers for lines that pass a node's width beside the point. Rays from all over that reach say what truth is there.
+A map answers for the centres of the texels round the point, on the visible plane, and stores positions in float32 and depths in
+steps. A volume answers for the point itself, within the rasteriser's grid of 1/256 pixel and float32. The line sweep answers for
+lines within a node's width of the point. Rays from samples all over that reach give truth there.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from skugga.shadows.attached import attached
 from skugga.shadows.maps.perspective_shadow_map import perspective_maps
 from skugga.shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
-from skugga.shadows.maps.sun_disc import DISC_TAPS
+from skugga.shadows.maps.sun_disc import MIN_DISC_TAPS
 from skugga.shadows.maps.windows import sun_maps
 from skugga.shadows.plan import Step
 from skugga.shadows.truth.metrics import MetricCoverage, metric_coverage
@@ -31,34 +31,34 @@ from skugga.terrain.geo.grid import MapView
 from tests.hard_cases.cases import Seen
 
 STENCIL_PX = 2.0 / 256.0
-"""What a stencil's faces may be off by in the picture: half a step of the grid for a corner, one for what they are drawn behind,
+"""Error of a stencil's faces in the picture: half a step of the grid for a corner, one step for the surface that hides them,
 and another half for the rounding of either.
 """
 
 GRID_TEXELS = 1.0 / 128.0
-"""How far beside itself an edge in a map may lie: half a step of the grid of 1/256 texel for either of its ends, and as much again
-for the rounding on the way there.
+"""Lateral error of an edge in a map: half a step of the grid of 1/256 texel for either end, and as much again for rounding in
+between.
 """
 
 SIGNS = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
-"""A place, and those right and up of it by what rounding may do."""
+"""A place, and the places right and up of it by the rounding error."""
 
 RING = ((0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1))
-"""Rows and columns from a node to those round it, counter-clockwise."""
+"""Rows and columns from a node to its neighbours, counter-clockwise."""
 
 EDGE_TOLERANCE = 1e-5
-"""How near to an edge, in cells, a point is shared by the triangles on either side, as in ``shaders/receiver.glsl``."""
+"""A point this near to an edge, in cells, belongs to the triangles on either side, as in ``shaders/receiver.glsl``."""
 
 FLOAT_ULPS = 32.0 * 2.0**-24
-"""What positions, their transformations and the start of truth's rays may be off by, as a share of the coordinates."""
+"""Error of positions, their transformations and the start of truth's rays, as a share of the coordinates."""
 
 
 SAMPLED_PX = 64
-"""So many pixels of the cast shadow are asked whether an error there could be explained away."""
+"""The number of cast shadow pixels that are sampled for the coverage."""
 
 
 def beyond(seen: Seen) -> np.ndarray:
-    """Wrong decidable pixels (rows, cols) under the sun that nothing within the algorithm's reach explains."""
+    """Return the wrong decidable pixels (rows, cols) under the sun that the algorithm's reach does not explain."""
     real = seen.truth
     wrong = real.decidable & (seen.dark == real.lit) & ~real.attached
     left = np.flatnonzero(wrong)
@@ -67,9 +67,9 @@ def beyond(seen: Seen) -> np.ndarray:
 
 
 def beyond_sight(seen: Seen) -> MetricCoverage:
-    """What ``beyond`` sees of the cast shadow: of how many of its pixels, were they lit, nothing within the reach would explain it.
+    """Return the coverage of the cast shadow by ``beyond``.
 
-    By a sample of the pixels, counted for all of them.
+    It is the number of cast shadow pixels that the reach would not explain if they were lit, estimated from a sample.
     """
     whole = metric_coverage(seen.dark, seen.truth, seen.truth.decidable)
     cast = np.flatnonzero(seen.truth.decidable & ~seen.truth.lit & seen.truth.valid & ~seen.truth.attached)
@@ -79,7 +79,7 @@ def beyond_sight(seen: Seen) -> MetricCoverage:
 
 
 def _unexplained(seen: Seen, left: np.ndarray, dark: np.ndarray) -> np.ndarray:
-    """Of which pixels, flat indices (n,), truth has nowhere within the reach the class that they are said to have (n,)."""
+    """Return which pixels, flat indices (n,), have a class ``dark`` (n,) that truth has nowhere within the reach."""
     out = np.ones(len(left), bool)
     if len(left):
         seen = replace(seen, buffer=receivers_of(seen.buffer, seen.scene, seen.light))
@@ -101,7 +101,7 @@ def _unexplained(seen: Seen, left: np.ndarray, dark: np.ndarray) -> np.ndarray:
 def _moves(
     seen: Seen, step: Step, left: np.ndarray, towards: np.ndarray, points: np.ndarray, normals: np.ndarray, crease: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Moves (n, 3) in the frame, metres, within the reach of an algorithm's error."""
+    """Return moves (n, 3) in the frame, metres, within the reach of an algorithm's error."""
     extent_m = float(np.nanmax(np.abs(seen.buffer.position_frame_m)))
     float_m = np.full(len(points), FLOAT_ULPS * extent_m)
     if isinstance(step.settings, ShadowMapSettings | PerspectiveMapSettings):
@@ -119,7 +119,7 @@ def _moves(
 
 
 def _pixel_m(seen: Seen, points: np.ndarray) -> np.ndarray:
-    """The side of a pixel at points (n, 3), metres."""
+    """Return the side of a pixel at points (n, 3), metres."""
     if isinstance(seen.view, PerspectiveView):
         eye, _ = seen.view.in_frame(seen.buffer.frame)
         return np.linalg.norm(points - eye, axis=1) * seen.view.pixel
@@ -131,22 +131,24 @@ def _pixel_m(seen: Seen, points: np.ndarray) -> np.ndarray:
 def _map_moves(
     seen: Seen, step: Step, left: np.ndarray, towards: np.ndarray, points: np.ndarray, normals: np.ndarray, crease: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Moves to where a map looks: the centres of its taps, on the plane of the point's triangle, on those of a map's ground
-    connected with it or, where none is known there, at the depth of the point moved clear (``docs/shadow-maps.md`` derives by
-    how much). Either as it is and as much nearer to the sun as the map's steps of depth and float32 may make it.
+    """Return moves to the places that a map samples: the centres of its taps.
 
-    The rasteriser's grid and float32 put an edge up to GRID_TEXELS and ``off`` beside itself, which as well moves the centre; and
-    by ``off`` the point may have other taps.
+    The centres lie on the plane of the point's triangle and on those of the map's ground connected with it. Where no such ground is
+    known, they lie at the depth of the point moved by its bias (``docs/shadow-maps.md`` derives it). Each appears as it is
+    and moved towards the sun by the error of the map's depth steps and float32.
+
+    The rasteriser's grid and float32 displace an edge by up to GRID_TEXELS and ``off``, which displaces the centre as well. By
+    ``off`` the point may also have other taps.
     """
     settings = step.settings
     assert isinstance(settings, ShadowMapSettings | PerspectiveMapSettings)
-    taps = DISC_TAPS if settings.filter == "sun" else int(settings.filter)
+    taps = MIN_DISC_TAPS if settings.filter == "sun" else int(settings.filter)
     beside = min(taps, 2) if settings.bias == "receiver_plane" else taps
     matrix, error_m = _maps(seen, step, left)
     frame_from_map, at = np.linalg.inv(matrix), _projected(matrix, points)
     w = _dot(matrix[:, 3, :3], points) + matrix[:, 3, 3]
     jacobian = (matrix[:, :3, :3] - at[:, :, None] * matrix[:, 3:, :3]) / w[:, None, None]
-    right, up, _ = np.moveaxis(np.linalg.inv(jacobian), 2, 0)  # a texel, at one depth of the map
+    right, up, _ = np.moveaxis(np.linalg.inv(jacobian), 2, 0)  # the move by one texel, at constant depth of the map
     widest = np.maximum(np.linalg.norm(right + up, axis=1), np.linalg.norm(right - up, axis=1))
     slack = np.abs(_dot(normals, right)) + np.abs(_dot(normals, up)) + crease * widest
     clear_m = (beside / 2.0 + GRID_TEXELS) * slack / np.maximum(1.0 - crease**2 / 2.0, 0.25)
@@ -175,24 +177,25 @@ def _map_moves(
 
 
 def _connected(buffer: GeometryBuffer, left: np.ndarray, towards: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The triangles (3, n, 3) of a map's ground up to half round the nearest node from those of the pixels ``left`` (n,), and where
-    (n,) one gets there past triangles that face the sun: others lie before or behind, as the sun sees it.
+    """Return the map's ground triangles (3, n, 3) up to half round the nearest node from those of the pixels ``left`` (n,).
+
+    The second result (n,) tells whether only triangles that face the sun lie in between: the sun sees others before or behind.
     """
     view, surface = buffer.view, buffer.surface
     assert isinstance(view, MapView) and surface is not None
     i, j = np.unravel_index(left, buffer.valid.shape)
     at = np.stack([view.row0 - surface.row0 + i * view.row_step, view.col0 - surface.col0 + j * view.col_step], axis=1)
-    # The nearest node; half-way between nodes, of these the one that is nearest to the sun.
+    # The nearest node; half-way between nodes, the one nearest to the sun.
     low, high = np.ceil(at - 0.5 - EDGE_TOLERANCE).astype(int), np.floor(at + 0.5 + EDGE_TOLERANCE).astype(int)
     nearest = [np.column_stack([row[:, 0], col[:, 1]]) for row in (low, high) for col in (low, high)]
     height = [np.nan_to_num(surface.position_frame_m[tuple(each.T)] @ towards, nan=-np.inf) for each in nearest]
     node = np.stack(nearest)[np.argmax(height, axis=0), np.arange(len(left))]
     east, north = (at - node)[:, 1], (node - at)[:, 0]
-    # Eighths of the way round; where a quad is cut beside the node, one triangle takes up two of them.
+    # Eighths of the circle; where a quad is cut beside the node, one triangle takes up two of them.
     ends: list[tuple[np.ndarray, np.ndarray]] = []
     for k, (row, col) in enumerate(RING):
         next_row, next_col = RING[(k + 1) % 8]
-        corner, side = ((row, col), k - 1) if k % 2 else ((next_row, next_col), k)  # of the quad that the eighth is in
+        corner, side = ((row, col), k - 1) if k % 2 else ((next_row, next_col), k)  # of the quad that contains the eighth
         falls = surface.sheet.falls[node[:, 0] + min(corner[0], 0), node[:, 1] + min(corner[1], 0)]
         ends_here = falls == (corner[0] == corner[1])
         rim = np.array(RING[side]), np.array(RING[(side + 2) % 8])
@@ -200,7 +203,7 @@ def _connected(buffer: GeometryBuffer, left: np.ndarray, towards: np.ndarray) ->
         ends.append(tuple(np.where(ends_here[:, None], one, other) for one, other in zip(own, rim, strict=True)))  # type: ignore[arg-type]
     middle = surface.position_frame_m[node[:, 0], node[:, 1]]
     corners = np.stack([[middle, *(surface.position_frame_m[tuple((node + end).T)] for end in pair)] for pair in ends])
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # of (8, 3, n, 3)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # shape of corners: (8, 3, n, 3)
     towards_sun = np.nan_to_num(normal @ towards / np.linalg.norm(normal, axis=-1), nan=-np.inf)
     holds = np.array(
         [
@@ -219,20 +222,21 @@ def _connected(buffer: GeometryBuffer, left: np.ndarray, towards: np.ndarray) ->
 
 
 def _onto(points: np.ndarray, place: np.ndarray, normals: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """Points (n, 3) moved along the sun's rays onto planes through a place each."""
+    """Return points (n, 3) moved along the sun's rays onto one plane each, given by a place and a normal."""
     return points - (_dot(normals, points - place) / (normals @ towards))[:, None] * towards
 
 
 def _holds(corners: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Whether triangles (3, n, 2) hold places (n, 2), either way round."""
+    """Return whether triangles (3, n, 2) contain places (n, 2), in either winding order."""
     sides, away = np.roll(corners, -1, axis=0) - corners, at - corners
     turn = sides[..., 0] * away[..., 1] - sides[..., 1] * away[..., 0]
     return (turn >= 0.0).all(axis=0) | (turn <= 0.0).all(axis=0)
 
 
 def _maps(seen: Seen, step: Step, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices (n, 4, 4) from the frame to columns, rows and steps of depth of the maps that the pixels ``left`` (n,) are for, and
-    what they take positions (n,) to be off by, metres.
+    """Return matrices (n, 4, 4) from the frame to columns, rows and depth steps of the maps of the pixels ``left`` (n,).
+
+    The second result (n,) is the assumed error of positions, metres.
     """
     buffer, scene, settings = seen.buffer, seen.scene, step.settings
     trees = caster_trees(buffer, step.kinds)
@@ -259,11 +263,11 @@ def _maps(seen: Seen, step: Step, left: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _projected(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) through matrices (n, 4, 4)."""
+    """Return points (n, 3) transformed by matrices (n, 4, 4)."""
     through = np.einsum("nij,nj->ni", matrix[:, :, :3], points) + matrix[:, :, 3]
     return through[:, :3] / through[:, 3:]
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Products (n,) of vectors (n, 3), row by row."""
+    """Return the dot products (n,) of vectors (n, 3), row by row."""
     return np.einsum("nk,nk->n", a, b)

@@ -1,4 +1,4 @@
-"""Grounds for cases about places, world scale and time: hills with houses, anywhere, for each algorithm as far as it can serve."""
+"""Sites for cases about places, world scale and time: hills with houses, anywhere, as far as each algorithm can serve them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CELLS, CELL_M = 96, 4.0
 
 
 def hills(cells: int = CELLS, height_m: float = 60.0, seed: int = 11) -> np.ndarray:
-    """Rolling heights (cells, cells) float32 of some metres' spread, rough from cell to cell by decimetres."""
+    """Return rolling heights (cells, cells) float32 with a range of some metres and a roughness of decimetres per cell."""
     noise = np.random.default_rng(seed).normal(size=(2, cells, cells))
     broad, rough = gaussian_filter(noise[0], 7.0, mode="wrap"), gaussian_filter(noise[1], 1.0, mode="wrap")
     return (height_m * broad / np.abs(broad).max() + 0.5 * rough).astype(np.float32)
@@ -28,9 +28,9 @@ def hills(cells: int = CELLS, height_m: float = 60.0, seed: int = 11) -> np.ndar
 def site(
     trial: Trial, sun: tuple[float, float] = (237.0, 17.0), offset: tuple[float, float] = (0.0, 0.0), name: str = "site"
 ) -> Scene:
-    """Hills with houses in an engineering CRS, the raster's middle at an offset in metres.
+    """Return hills with houses in an engineering CRS, the raster's middle at an offset in metres.
 
-    For the sweep hills alone, and for what throws shadows on a plane a level floor with the houses.
+    The sweep gets the hills without houses. Algorithms that project shadows on a plane get a level floor with the houses.
     """
     heights = hills() if trial.algorithm != "planar" else np.zeros((CELLS, CELLS), np.float32)
     half = CELLS * CELL_M / 2
@@ -44,14 +44,14 @@ def site(
 
 
 def views_of(trial: Trial, scene: Scene, px: int) -> Iterator[View]:
-    """The views of a site that its algorithm serves: the oblique one, and the map for what knows maps."""
+    """Return the views of a site that its algorithm serves: the oblique one, and the map where the algorithm has maps."""
     yield scene.view("oblique", size=(px, px * 3 // 4))
     if trial.algorithm != "perspective_shadow_map":
         yield scene.view(size=(px, px))
 
 
 def differing(one: Seen, other: Seen) -> float:
-    """Share of the pixels whose class differs between two pictures; of which neither may be without light or shadow."""
+    """Return the share of the pixels whose class differs between two pictures; each picture must have both light and shadow."""
     valid = one.buffer.valid
     assert 0.02 < one.dark[valid].mean() < 0.98, "light and shadow"
     return float(((one.dark != other.dark) | (valid != other.buffer.valid)).mean())

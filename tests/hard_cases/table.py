@@ -1,6 +1,6 @@
-"""The table at the end of a run: hard case by algorithm, the measured figure beside its bound.
+"""The table at the end of a run: hard case by algorithm, each measured figure beside its bound.
 
-``pytest -m thorough tests/hard_cases --hard-cases-table docs/hard-cases.md`` puts it into the document, between its two marks.
+``pytest -m thorough tests/hard_cases --hard-cases-table docs/hard-cases.md`` writes it into the document, between its two marks.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The mutants go last: what breaks the engine on purpose means nothing before all else holds."""
+    """Move the mutants to the end: a deliberate defect means nothing before everything else holds."""
     items.sort(key=lambda item: item.path.name == "test_mutants.py")
 
 
 class _Table:
-    """Gathers the records of this run, from all of its processes."""
+    """Collects the records of this run from all of its processes."""
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
@@ -62,14 +62,15 @@ class _Table:
 
 
 def _order(case: str) -> tuple[int, str, int]:
-    """H1, H2, ... H34, then G1, ..., then the rest by letter."""
+    """Return the sort key of a case: H1, H2, ... H34, then G1, ..., then the rest by letter."""
     letters, number = re.fullmatch(r"([A-Z]+)(\d+)", case).groups()  # type: ignore[union-attr]
     return ("HG".find(letters) if letters in "HG" else 2), letters, int(number)
 
 
 def rows(records: Iterable[dict[str, Any]]) -> list[tuple[dict[str, Any], str, dict[str, str]]]:
-    """(case, figure's name, {algorithm: cell}) in the catalogue's order. A cell is a figure, with ``!`` if over its bound, and what
-    ``in_brackets`` says of it; or ``refused``.
+    """Return (case, figure's name, {algorithm: cell}) in the catalogue's order.
+
+    A cell is ``refused`` or a figure, with ``!`` if it exceeds its bound, and with the text of ``in_brackets``.
     """
     by_case: dict[str, list[dict[str, Any]]] = {}
     for record in records:
@@ -90,8 +91,9 @@ def rows(records: Iterable[dict[str, Any]]) -> list[tuple[dict[str, Any], str, d
 
 
 def in_brackets(record: dict[str, Any], name: str) -> str:
-    """Of a figure that judges cast shadow: ``wrong_cast`` of the worst picture, and the share of the cast shadow that the figure
-    sees, in per cent, as ``(0.3 %, 82)``; ``not tested`` in front where that is too little. Nothing of other figures.
+    """Return ``wrong_cast`` of the worst picture and the figure's coverage of the cast shadow, in per cent, as ``(0.3 %, 82)``.
+
+    ``not tested`` precedes it if the coverage is too small. Figures that do not judge cast shadow get an empty text.
     """
     sight = record.get("sights", {}).get(name)
     if not sight:
@@ -101,7 +103,7 @@ def in_brackets(record: dict[str, Any], name: str) -> str:
 
 
 def as_text(records: Iterable[dict[str, Any]]) -> list[str]:
-    """The table for a terminal."""
+    """Return the table for a terminal."""
     lines = [f"{'case':5} {'figure':38} {'bound':>8}  " + " ".join(f"{title:>16}" for title in COLUMNS.values())]
     for case, name, cells in rows(records):
         figures = " ".join(f"{cells.get(algorithm, ''):>16}" for algorithm in COLUMNS)
@@ -110,7 +112,7 @@ def as_text(records: Iterable[dict[str, Any]]) -> list[str]:
 
 
 def as_markdown(records: Iterable[dict[str, Any]]) -> str:
-    """The table for a document, with what is set up and what must hold, and the reasons of the refusals below it."""
+    """Return the table for a document, with the set-ups, what must hold, and the reasons of the refusals below it."""
     records = list(records)
     shown = [algorithm for algorithm in COLUMNS if algorithm in {record["algorithm"] for record in records}]
     lines = ["| case | what must hold | figure | bound | " + " | ".join(COLUMNS[a] for a in shown) + " |"]
@@ -134,7 +136,7 @@ def as_markdown(records: Iterable[dict[str, Any]]) -> str:
 
 
 def put_into(path: Path, table: str) -> None:
-    """Replace what lies between a document's marks. Raises ``ValueError`` for one without."""
+    """Replace the text between a document's marks. Raises ``ValueError`` if a mark is absent."""
     text = path.read_text(encoding="utf-8")
     head, start, rest = text.partition(START)
     _, end, tail = rest.partition(END)

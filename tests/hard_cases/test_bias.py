@@ -1,4 +1,4 @@
-"""Surfaces that must not shade themselves, and shadows that must not come off what throws them."""
+"""Surfaces must not shadow themselves, and shadows must touch their casters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAPS = ("shadow_map", "perspective_shadow_map")
 
 
 def not_wholly_lit(seen: Seen) -> float:
-    """Share of the surface that is not wholly lit."""
+    """Return the share of the surface that is not fully lit."""
     return float((seen.visibility[seen.buffer.valid] < 1.0).mean())
 
 
@@ -32,7 +32,7 @@ def not_wholly_lit(seen: Seen) -> float:
     {"false_shadow": 0.0},
 )
 def test_level_ground_is_lit(trial: Trial) -> dict[str, float]:
-    """Wholly lit everywhere: visibility is 1, also where it is filtered. The steps crowd where the sun is low."""
+    """Visibility is 1 everywhere, also where it is filtered. Texel steps crowd where the sun is low."""
     eye = {"kind": "perspective", "eye": [-420, -450, 120], "target": [0, 0, 0]}
     ground = {"flat": {"size": [1000, 1000], "cells": [40, 40]}}
     scene = trial.scene(ground, (200, 45), views={"eye": eye}, effects={"cast_shadows": "on"})
@@ -50,12 +50,13 @@ def test_level_ground_is_lit(trial: Trial) -> dict[str, float]:
 
 
 PLANES = ((30.0, 0.0), (60.0, 45.0), (85.0, 225.0), (89.5, 310.0))
-"""Slopes and the azimuths that they face, degrees: the quick ones."""
+"""Slopes and the azimuths that they face, degrees, for quick runs."""
 
 
 def planes(trial: Trial) -> Iterator[tuple[Scene, float]]:
-    """Tilted planes under the zenith's sun and slanting ones, where they reach them; and the sun's angle from their normals. In a
-    thorough run planes take the suns in turn, and every slope has them all.
+    """Yield tilted planes under suns at the zenith and aslant, if these reach them; and the sun's angle from their normals.
+
+    In a thorough run the suns take turns over the planes, and every slope has them all.
     """
     every = [(slope, 22.5 + towards) for slope in (0, 15, 30, 45, 60, 70, 80, 85, 88, 89.5) for towards in range(0, 360, 45)]
     for number, (slope, towards) in enumerate(every if trial.thorough else PLANES):
@@ -79,9 +80,9 @@ def planes(trial: Trial) -> Iterator[tuple[Scene, float]]:
     {"false_shadow": 0.0},
 )
 def test_tilted_planes_are_lit(trial: Trial) -> dict[str, float]:
-    """With all numbers of taps and both derived biases of a map, which planes take in turn: one each, in a thorough run two.
+    """All numbers of taps and both derived biases of a map take turns over the planes: one each, in a thorough run two.
 
-    What is looked at is the plane's middle: at the raster's rim heights go on level for half a cell, and a steep plane's texels are
+    The camera sees the plane's middle. At the raster's rim heights continue level for half a cell, and a steep plane's texels are
     hundreds of metres high.
     """
     taps, biases = (1, 2, 3, 5), ("receiver_plane", "normal_offset") if trial.algorithm == "shadow_map" else ("auto",)
@@ -96,7 +97,7 @@ def test_tilted_planes_are_lit(trial: Trial) -> dict[str, float]:
 
 
 def scaled(scale: float) -> Change:
-    """The bias times a scale."""
+    """Return a change that multiplies the bias."""
     return lambda its: its.model_copy(update={"bias_scale": scale})
 
 
@@ -108,9 +109,10 @@ def scaled(scale: float) -> Change:
     MAPS,
 )
 def test_less_bias_shows_acne(trial: Trial) -> dict[str, float]:
-    """``receiver_plane`` has no bias that could be less on a plane that it knows: what is scaled is how far it goes by the
-    triangle instead of by the point. ``polygon_offset`` is no part of this: its customary factor is not derived, and
-    enough for one tap alone.
+    """``receiver_plane`` has no bias that could be less on a plane that it knows. The scale applies to how far it uses the
+    triangle instead of the point.
+
+    ``polygon_offset`` is no part of this: its customary factor is not derived, and is sufficient for one tap only.
     """
     acne, spare, count = 0.0, 0, 0
     for scene, angle_deg in planes(trial):
@@ -154,7 +156,7 @@ def test_a_cube_touches_its_shadow(trial: Trial) -> dict[str, float]:
 
 
 def gap_texels(seen: Seen, away: np.ndarray, foot_m: float, length_m: float) -> float:
-    """How far lit ground reaches from a wall's foot into its shadow, in texels or pixels; ``away`` (2,) from the sun."""
+    """Return how far lit ground reaches from a wall's foot into its shadow, in texels or pixels; ``away`` (2,) from the sun."""
     point = seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m
     along, aside = point[..., :2] @ away - foot_m, point[..., :2] @ (away[::-1] * [1, -1])
     pixel_m = describe(seen.scene, seen.view).pixel_m
@@ -171,8 +173,9 @@ def gap_texels(seen: Seen, away: np.ndarray, foot_m: float, length_m: float) -> 
     {"false_shadow": 0.0},
 )
 def test_a_footprint_in_the_ground(trial: Trial) -> dict[str, float]:
-    """Ties go to the light: what is as near to the sun as the point itself does not shade it. Which of the two surfaces is seen
-    does not matter; both are lit.
+    """Ties go to the light: a caster at the same distance from the sun as the point does not shadow it.
+
+    It does not matter which of the two surfaces is visible; both are lit.
     """
     worst = 0.0
     eye = {"kind": "perspective", "eye": [-30, -40, 45], "target": [6, 4, 0], "fov": 35}

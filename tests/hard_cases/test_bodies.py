@@ -1,4 +1,4 @@
-"""Bodies that are none: open, one-sided, there twice, edge-on to the sun, without an area."""
+"""Bodies that are no solids: open, one-sided, duplicate, edge-on to the sun, without an area."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ VIEWS: dict[str, dict[str, Any]] = {
 
 
 def worst_of(trial: Trial, bodies: trimesh.Trimesh, name: str, views: Mapping[str, Any] = VIEWS, **keys: Any) -> dict[str, float]:
-    """The worst interior error over some views of bodies, and how many pixels are no number; all views but a map for an
-    algorithm that has none.
+    """Return the worst interior error over some views of bodies, and the number of pixels without a valid visibility.
 
-    A shadow map's texels reach round the foot of a sheet and over a face that the sun grazes, farther than two of their footprints
-    in the picture: of its errors under the sun all count, inside or at an edge, that nothing within its reach explains. (That
-    reach is known of the sun alone: under a lamp those interior ones count of which 8 px or more hang together.)
+    Algorithms without maps get all views but the map. A shadow map's texels reach round the foot of a sheet and over a face at a
+    grazing angle, farther than two of their footprints in the picture. Under the sun all its errors count, inside or at an edge,
+    that its reach does not explain. That reach is known for the sun only. Under a lamp interior errors count if 8 px or more are
+    connected.
     """
     interior, nothing = 0.0, 0
     scene = trial.scene(FLOOR, meshes=[bodies], name=name, views=dict(views), **keys)
@@ -73,7 +73,7 @@ def worst(found: list[dict[str, float]]) -> dict[str, float]:
 
 
 def moebius_strip(sections: int = 48) -> trimesh.Trimesh:
-    """A strip 2.4 m wide round a circle of 3.5 m, 4 m up, which turns over once on its way."""
+    """Return a strip 2.4 m wide round a circle of 3.5 m, 4 m up, with one half twist."""
     turn, side = np.linspace(0.0, 2.0 * np.pi, sections, endpoint=False), np.array([-1.2, 1.2])
     away = 3.5 + side * np.cos(turn[:, None] / 2.0)
     strip = np.stack(
@@ -81,7 +81,7 @@ def moebius_strip(sections: int = 48) -> trimesh.Trimesh:
     )
     here = np.arange(2 * sections).reshape(-1, 2)
     next_ring = np.roll(here, -1, axis=0)
-    next_ring[-1] = next_ring[-1, ::-1]  # where the strip's ends meet, left is right
+    next_ring[-1] = next_ring[-1, ::-1]  # where the strip's ends meet, left becomes right
     triangles = np.concatenate([np.column_stack([here, next_ring[:, :1]]), np.column_stack([here[:, 1:], next_ring[:, ::-1]])])
     return trimesh.Trimesh(strip.reshape(-1, 3), triangles, process=False)
 
@@ -100,7 +100,7 @@ HOSTILE = {
 
 
 def in_rows(bodies: list[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """Six bodies on the floor, apart from one another, and a pebble."""
+    """Return six bodies on the floor, apart from one another, and a pebble."""
     places = [(x, y, 0.0) for y in (7.0, -9.0) for x in (-16.0, 0.0, 16.0)]
     moved = [body.copy().apply_translation(place) for body, place in zip(bodies, places, strict=True)]
     return grounded(joined(*moved))
@@ -113,7 +113,7 @@ def in_rows(bodies: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     {"interior": 0, "pixels that are no number": 0},
 )
 def test_bodies_that_are_none(trial: Trial) -> dict[str, float]:
-    """Six bodies in a picture; the quick way looks at the first six under the spot, and not from low down."""
+    """A picture shows six bodies. The quick way draws the first six under the spot, without the low eyes."""
     lamp = {**SPOT, "position": [-25, -40, 60], "target": [0, 0, 0], "cutoff": 45}
     bodies, found = list(HOSTILE.values()), []
     for first in (0, 6):
@@ -127,11 +127,11 @@ def test_bodies_that_are_none(trial: Trial) -> dict[str, float]:
 
 
 EDGE_ON = soup([[[-3, 0, 1], [3, 0, 1], [0, 0, 6]], [[-3, 0, 0], [-3, 2, 0], [-5, 1, 4]]])
-"""A triangle in the plane y = 0, and one that is not."""
+"""A triangle in the plane y = 0, and another one."""
 
 
 def with_corner_moved(steps: int) -> trimesh.Trimesh:
-    """A house beside them with one corner of its roof moved north by steps of float32."""
+    """Return a house beside them, with one corner of its roof moved north by steps of float32."""
     house = box((5, 4, 4), at_m=(9, -4))
     vertices = np.asarray(house.vertices, np.float32)
     corner = int(np.argmax(vertices @ [1.0, -1.0, 1.0]))
@@ -159,8 +159,10 @@ def test_edge_on_to_the_sun(trial: Trial) -> dict[str, float]:
 
 
 def slivers(aspect: float) -> trimesh.Trimesh:
-    """A house whose roof and southern wall are cut into slivers: fans round points that lie ``aspect`` times nearer to one another
-    than the house is long. It stays closed.
+    """Return a house whose roof and southern wall consist of slivers.
+
+    The slivers are fans round points that lie ``aspect`` times nearer to one another than the house is long. The house stays
+    closed.
     """
     a, b, c, d = [-4, -3], [4, -3], [4, 3], [-4, 3]
     beside = [[-4.0 + 8.0 * k / aspect, -3.0] for k in range(1, 6)]
@@ -175,7 +177,7 @@ def slivers(aspect: float) -> trimesh.Trimesh:
 
 
 def without_area() -> trimesh.Trimesh:
-    """Triangles that are a line or a point, alone and on a house; and needles."""
+    """Return triangles that are a line or a point, alone and on a house; and needles."""
     flat = [[[9, 9, 0], [9, 9, 4], [9, 9, 2]], [[-9, 9, 3], [-9, 9, 3], [-9, 9, 3]], [[-9, -3, 1], [-5, -3, 1], [-5, -3, 1]]]
     needles = [[[x, 8, 3], [x + 1e-5, 8, 3], [x, -2, 3.5]] for x in np.linspace(-12, 12, 9)]
     return joined(box((8, 6, 5)), soup(flat), soup(needles), soup([[[-4, -3, 5], [4, -3, 5], [0, -3, 5]]]))

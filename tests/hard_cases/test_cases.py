@@ -1,4 +1,4 @@
-"""What is known to fall short is excused as far as it is known, and nothing else is."""
+"""A known shortfall excuses a trial only up to its known size."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.hard_cases.table import rows
 @pytest.mark.parametrize(
     ("figures", "excused"),
     [
-        ({"differ": 0.5, "basis": 0.0}, False),  # all holds: nothing is to be excused
+        ({"differ": 0.5, "basis": 0.0}, False),  # all bounds hold: nothing needs an excuse
         ({"differ": 1.5, "basis": 0.0}, True),
         ({"differ": 2.5, "basis": 0.0}, False),
         ({"differ": 1.5, "basis": 1.5}, False),

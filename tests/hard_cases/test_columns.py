@@ -1,4 +1,4 @@
-"""Upright walls: a raster of cells as columns (``terrain.surface: blocks``), counted by hand and held against rays over cells."""
+"""Upright walls: a raster of cells as columns (``terrain.surface: blocks``), against counts and rays over cells."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ EXACT = ("sweep", "truth")
 """Algorithms that follow each column's own ray."""
 
 TIE_M = 1e-3
-"""So near to the top of a column a ray may be stopped or not: rays of truth start as much higher."""
+"""A ray this near to the top of a column may be blocked or not: rays of truth start higher by as much."""
 
 
 def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels_a_cell: int = 1) -> np.ndarray:
-    """The shadow of columns in a flat world, all of them in the view, with some pixels a side to a cell."""
+    """Return the shadow of columns in a flat world, all in the view, with some pixels a side to a cell."""
     rows, cols = heights.shape
     path = trial.raster(np.ascontiguousarray(heights, np.float32), ENGINEERING, 0.0, rows * CELL_M, CELL_M)
     scene = trial.scene({"source": str(path), "surface": "blocks"}, sun)
@@ -44,8 +44,9 @@ def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels_
 
 
 def cells_on_the_way(azimuth_deg: float, reach: int) -> Iterator[tuple[int, int, float]]:
-    """The cells (rows and columns away) that a ray from the middle of a cell comes into, one after another, and how far away, in
-    cells: by the borders that it crosses (J. Amanatides and A. Woo 1987, "A fast voxel traversal algorithm for ray tracing").
+    """Return the cells (row and column offsets) on the ray from a cell's middle, in order, and their distances in cells.
+
+    The ray crosses the cells' borders as in J. Amanatides and A. Woo 1987, "A fast voxel traversal algorithm for ray tracing".
     """
     away = -np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
     step = [0 if abs(way) < 1e-12 else int(np.sign(way)) for way in away]
@@ -58,7 +59,7 @@ def cells_on_the_way(azimuth_deg: float, reach: int) -> Iterator[tuple[int, int,
 
 
 def shaded_by_columns(heights: np.ndarray, sun: tuple[float, float], cell_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which cells' middles columns shade from the sun, and for which that hangs on less than ``TIE_M``: bool (rows, cols)."""
+    """Return which cells' middles columns shadow, and for which the answer depends on less than ``TIE_M``: bool (rows, cols)."""
     heights = heights.astype(np.float64)
     rows, cols = heights.shape
     azimuth_deg, slope = sun[0], np.tan(np.radians(sun[1]))
@@ -77,7 +78,7 @@ def shaded_by_columns(heights: np.ndarray, sun: tuple[float, float], cell_m: flo
 CELLS = 64
 
 SOLIDS = {"box": slice(22, 42), "pillar": slice(31, 32)}
-"""Rows and columns of what stands on level ground."""
+"""Rows and columns of the box on level ground."""
 
 HEIGHT_CELLS = 10.25
 
@@ -92,9 +93,9 @@ HEIGHT_CELLS = 10.25
     thorough=False,
 )
 def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
-    """A wall is half a cell from the middles beside it: there the ray has risen by 0.5, a cell farther away by 1.5, ... Ten middles
-    lie below 10.25 behind each of the roof's cells, on the way that shadows go. Along the diagonals the two that pass beside the
-    solid touch it, along the edges of its walls: whatever they are told is right.
+    """A wall is half a cell from the middles beside it: there the ray has risen by 0.5, a cell farther away by 1.5, and so on.
+    Behind each of the roof's cells, along the shadow, ten middles lie below 10.25. Along the diagonals the two rays that
+    pass beside the solid touch it, along the edges of its walls: either answer is right for them.
     """
     row, col = np.indices((CELLS, CELLS))
     dark_roof, wrong = 0, 0
@@ -120,11 +121,11 @@ SUNS = ((113.0, 30.0), (202.0, 10.0), (67.0, 20.0), (341.0, 45.0), (19.0, 3.0))
 """Azimuth and altitude, degrees: off the axes and diagonals."""
 
 MAY_DIFFER = {"sweep": 0.0, "truth": 0.0, "shadow_volume": 3e-3, "hybrid": 3e-3, "shadow_map": 1e-2}
-"""Share of the cells: rasterisers put corners on a lattice, and so rays on the other side of them; maps have texels."""
+"""Share of the cells. Rasterisers snap corners to a grid, and so move rays across them; maps have texels."""
 
 
 def share_over(share: float, most: float) -> float:
-    """A share as one of what it may be; infinite where it may not be."""
+    """Return a share divided by its bound; infinite if the bound is 0 and the share is not."""
     return share / most if most else (np.inf if share else 0.0)
 
 
@@ -178,7 +179,7 @@ def test_eight_symmetries(trial: Trial) -> dict[str, float]:
 @pytest.mark.parametrize("sun", SUNS)
 def test_a_city_by_the_sweep_is_that_of_a_walk_over_its_cells(shared_data: Path, tmp_path: Path, sun: tuple[float, float]):
     with rasterio.open(shared_data / "urban/goteborg_1m/DSM.tif") as dataset:
-        heights = CELL_M * dataset.read(1).astype(np.float32)  # in cells of this size, the city in its own proportions
+        heights = CELL_M * dataset.read(1).astype(np.float32)  # in cells of this size, with the city's proportions unchanged
     expected, tie = shaded_by_columns(heights, sun, CELL_M)
     dark = dark_at(Trial("sweep", False, tmp_path), heights, sun)
     assert 0.2 < dark.mean() < 0.95

@@ -1,4 +1,4 @@
-"""What maps hold: depths to within a step, of any range, in any number of bits; and where one cascade ends and the next begins."""
+"""Depth maps store depths to within a step, over any range, in any number of bits; and cascades meet at their split distance."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from tests.rasters import ENGINEERING
 from tests.shadows.boxes import box
 
 AZIMUTH = 77.0
-"""Of the suns over a cliff: they shine on it."""
+"""Altitude of the sun over a cliff; it faces the cliff."""
 
 CLIFF_M = -5.0, 5.0
-"""Where it begins and ends, from west to east: one cell."""
+"""Start and end of the cliff, from west to east: one cell."""
 
 
 def cliff(trial: Trial, height_m: float, altitude: float, meshes: list[trimesh.Trimesh] | None = None) -> Scene:
-    """A plateau in the west, a plain of height 0 in the east, 640 m of both."""
+    """Return a plateau in the west and a plain of height 0 in the east, 640 m of both."""
     heights = np.zeros((64, 64), np.float32)
     heights[:, :32] = height_m
     name = f"cliff_{height_m:.0f}_{altitude:.0f}"
@@ -44,7 +44,7 @@ def settings_of(seen: Seen) -> ShadowMapSettings:
 
 
 def depth_error_m(seen: Seen, drawn: DepthMap, height_m: float) -> float:
-    """The worst difference between what a map holds and the true depth of plain and plateau at the texels' centres, metres.
+    """Return the largest difference between a map's depths and the true depth of plain and plateau at the texels' centres, metres.
 
     With r, u, a the heights of light space's axes, the ray through its (x, y) meets a plane of height h at z = (h - x r - y u) / a.
     """
@@ -73,9 +73,9 @@ def depth_error_m(seen: Seen, drawn: DepthMap, height_m: float) -> float:
     ("shadow_map",),
 )
 def test_depths_are_right_to_within_a_step(trial: Trial) -> dict[str, float]:
-    """Of the step of the range itself, as the table has it (1.53 m for 100 km in 16 bits), and the bound of float32 positions.
+    """The bounds are one step of the depth range, as in the table (1.53 m for 100 km in 16 bits), and that of float32 positions.
 
-    ``false_shadow`` is that of plain and plateau farther from the cliff than a texel reaches: one on both holds the cliff.
+    ``false_shadow`` is that of plain and plateau beyond a texel's reach from the cliff: a texel on both contains the cliff.
     """
     error, false = 0.0, 0.0
     for altitude in (90.0, 60.0, 30.0) if trial.thorough else (60.0,):
@@ -104,10 +104,10 @@ def test_depths_are_right_to_within_a_step(trial: Trial) -> dict[str, float]:
     ("shadow_map", "perspective_shadow_map"),
 )
 def test_sixteen_bits_are_enough_for_mountains(trial: Trial) -> dict[str, float]:
-    """Half a step is given to the light, and half a step is what rounding takes from it: 16 bits never shade more than 32 do.
+    """Half a step of bias lights the surface, and rounding takes half a step from it: 16 bits never shade more than 32 bits do.
 
-    What they shade less is what lies within a step behind its caster: a strip of at most ``DEPTH_PX`` along every edge, by
-    the plan's own choice of bits.
+    They shade less only within a step behind a caster: a strip of at most ``DEPTH_PX`` along every edge, by the plan's choice of
+    bits.
     """
     size, map_size = (384, 2048) if trial.thorough else (128, 1024)
     eye = {"kind": "perspective", "eye": [-20_000, -20_000, 1500], "target": [0, 0, 0], "fov": 60}
@@ -135,8 +135,8 @@ def test_sixteen_bits_are_enough_for_mountains(trial: Trial) -> dict[str, float]
 def test_more_bits_are_taken_where_they_are_needed(trial: Trial) -> dict[str, float]:
     """A depth step s loses s cos(a) of a shadow on level ground.
 
-    Texels are as much coarser than depth steps as maps have fewer of them: what 16 bits lose hides below a texel unless light
-    space is 30 times as deep as it is wide. So cliffs have to be as high as none is.
+    Maps with fewer depth steps have larger texels in proportion. The loss of 16 bits is therefore smaller than a texel unless light
+    space is 30 times as deep as it is wide. So the cliffs are higher than any real cliff.
     """
     altitude, worst, unsaid, chosen = 75.0, 0.0, 0, set()
     box((3.0, 6.0, 30.0)).export(trial.folder / "tower.ply")
@@ -166,10 +166,10 @@ def test_more_bits_are_taken_where_they_are_needed(trial: Trial) -> dict[str, fl
     ("shadow_map",),
 )
 def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
-    """A float more or less moves one pixel from one map to the other (or those at the very same distance), and no other.
+    """A change of the split distance by one float moves one pixel (or those at exactly that distance) to the other map.
 
-    At full size a dozen pixels lie farther from truth's edge than two pixels and two texels, wherever cascades part, though truth
-    has the other answer within the texels that the map looks at for them: so errors are held to that reach, pixel by pixel.
+    At full size a dozen pixels lie farther from truth's edge than two pixels and two texels, at any split distance, though truth
+    has the other answer within the texels that the map samples for them. So errors are compared with that reach, pixel by pixel.
     """
     blocks = [
         box((8.0, 5.0, 7.0), at_m=(-6.0, 4.0)),
@@ -207,7 +207,7 @@ def test_cascades_part_on_a_pixel(trial: Trial) -> dict[str, float]:
 
 
 def parted_at(far_m: float) -> Change:
-    """The first cascade goes that far."""
+    """End the first cascade at that distance."""
 
     def change(its: AlgorithmSettings) -> AlgorithmSettings:
         assert isinstance(its, ShadowMapSettings)

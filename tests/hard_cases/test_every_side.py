@@ -1,4 +1,4 @@
-"""Right from every side: no direction of the compass is better than another."""
+"""Symmetry: no direction of the compass has better shadows than another."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from tests.rasters import ENGINEERING
 CELL_M = 8.0
 
 SUNS = {"random heights": (90.0, 45.0), "city": (113.0, 30.0), "canopy": (67.0, 20.0), "mountains": (202.0, 10.0)}
-"""By kind of ground: along an axis, and off the axes and diagonals."""
+"""Suns by kind of ground: along an axis, and off the axes and diagonals."""
 
 EXACT = 1e-5
-"""Share of the pixels that may differ at nodes, by the algorithms that go by the very nodes."""
+"""Share of the pixels that may differ at nodes, for algorithms that sample exactly at the nodes."""
 
 GROUNDS_MAY_DIFFER = {"random heights": 1e-3, "city": 1e-3, "canopy": 1e-3, "mountains": 2e-4}
-"""Share that may differ by maps and volumes, and between nodes."""
+"""Share that may differ for maps and volumes, and between nodes."""
 
 
 def grounds(cells: int) -> dict[str, np.ndarray]:
-    """Heights (cells, cells) float32 of four kinds of ground."""
+    """Return heights (cells, cells) float32 of four kinds of ground."""
     rng = np.random.default_rng(7)
     city = np.zeros((cells, cells), np.float32)
     for row, col, deep, wide in rng.integers((0, 0, 3, 3), (cells, cells, 14, 14), (cells, 4)):
@@ -47,7 +47,7 @@ def grounds(cells: int) -> dict[str, np.ndarray]:
 
 
 def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels: int) -> np.ndarray:
-    """The shadow (pixels, pixels) of a raster in a flat world, all of it in the view."""
+    """Return the shadow (pixels, pixels) of a raster in a flat world, all in the view."""
     side_m = len(heights) * CELL_M
     scene = trial.scene(trial.raster(np.ascontiguousarray(heights), ENGINEERING, 0.0, side_m, CELL_M), (0.0, 45.0))
     scene = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
@@ -100,11 +100,12 @@ HEIGHT_CELLS = 10.5
     thorough=False,
 )
 def test_a_box_under_eight_suns(trial: Trial) -> dict[str, float]:
-    """Under a sun along the axes ten nodes are dark behind each of the roof's 20 rows: 1 to 10 cells from its edge the ray passes
-    this below 10.5 cells. Along the diagonals ten behind each of the 39 diagonals that meet the roof; and on the two beside these,
-    which meet the corners' walls half-way down, five: there the ray is 0.5 to 4.5 high, below 5.25.
+    """Under a sun along the axes ten nodes are dark behind each of the roof's 20 rows: 1 to 10 cells from its edge the ray
+    passes below 10.5 cells.
 
-    ``wrong nodes on the ground`` are a share of the nodes that are dark.
+    Along the diagonals ten nodes are dark behind each of the 39 diagonals that meet the roof. The two beside these meet the
+    corners' walls half-way down. There the ray is 0.5 to 4.5 high, below 5.25: five nodes are dark behind each. ``wrong nodes on
+    the ground`` is a share of the dark nodes.
     """
     cells = 64
     heights = np.zeros((cells, cells), np.float32)
@@ -140,13 +141,14 @@ DOME_SUN_DEG = 9.0
     algorithms=(*SHADOWING, "truth"),
 )
 def test_no_teeth_at_the_terminator(trial: Trial) -> dict[str, float]:
-    """Heights are -(x^2 + y^2) / 2R, so the normal is (x, y, R) but for its length. It is across the sun (sin A cos h, cos A cos h,
-    sin h) where x sin A + y cos A = -R tan h: on that line lies the terminator. A dome shades no part of itself that faces the sun.
+    """Heights are -(x^2 + y^2) / 2R, so the normal is proportional to (x, y, R).
 
-    Wrong pixels are those more than a pixel from that line that are on the wrong side of it.
+    The normal is perpendicular to the sun's direction (sin A cos h, cos A cos h, sin h) where x sin A + y cos A = -R tan h: that
+    line is the terminator. A dome shadows no part of itself that faces the sun. Wrong pixels are those on the wrong side of that
+    line and more than a pixel from it.
     """
     wrong = 0.0
-    trial.saw("wrong pixels")  # a dome casts none
+    trial.saw("wrong pixels")  # a dome casts no shadow
     for azimuth, line, towards in _terminators(trial.thorough):
         aside = np.array([-towards[1], towards[0]])
         eye, target = line + 260.0 * aside + 60.0 * towards, line - 40.0 * aside
@@ -174,7 +176,7 @@ def test_no_teeth_in_maps(trial: Trial) -> dict[str, float]:
 
 
 def _terminators(thorough: bool) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """Azimuths; the point of the terminator's line that is nearest to the dome's top, and the horizontal direction to the sun."""
+    """Yield azimuths; the point of the terminator nearest to the dome's top, and the horizontal direction to the sun."""
     found = []
     for azimuth in (237.0, 90.0, 18.0, 315.0) if thorough else (237.0, 90.0):
         towards = np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
@@ -183,7 +185,7 @@ def _terminators(thorough: bool) -> list[tuple[float, np.ndarray, np.ndarray]]:
 
 
 def _wrong_beyond_a_pixel(trial: Trial, azimuth: float, view: dict[str, Any]) -> float:
-    """Pixels of a view of the dome that are on the wrong side of its terminator, and so are all that touch them."""
+    """Return pixels of a view of the dome that are on the wrong side of its terminator, with all their neighbours."""
     cells = 48
     side_m = cells * DOME_CELL_M
     at_m = (np.arange(cells) + 0.5) * DOME_CELL_M - side_m / 2.0

@@ -1,4 +1,4 @@
-"""Shadows from far away: their length on a plane and on the curved earth, suns at the horizon, casters that are not in the view."""
+"""Distant casters: the shadow's length on a plane and on the curved earth, suns at the horizon, casters outside the view."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PEAK_M = 1500.0
 
 
 def worst_length(trial: Trial, peak: FarPeak) -> float:
-    """The worst relative error of a peak's shadow's length, from above and from a camera."""
+    """Return the largest relative error of the length of a peak's shadow, from above and from a camera."""
     size = 320 if trial.thorough else 96
     return max(peak.length_error(trial.see(peak.scene, view)) for view in views_of(trial, peak.scene, size, bounds=peak.map_bounds))
 
@@ -35,7 +35,7 @@ def worst_length(trial: Trial, peak: FarPeak) -> float:
     {"length": 0.01},
 )
 def test_a_peak_shades_what_lies_far_away(trial: Trial) -> dict[str, float]:
-    """On WGS 84, where the shadow's end is solved for; the sphere's formula says 39.46 km."""
+    """On WGS 84, where the shadow's end is solved numerically; the sphere's formula gives 39.46 km."""
     peak = far_peak(trial, PEAK_M, 2.0, round_m=2000.0, curved=True)
     assert peak.length_m == pytest.approx(longest_shadow_m(PEAK_M, 2.0), rel=0.001)
     return {"length": worst_length(trial, peak)}
@@ -48,7 +48,7 @@ def test_a_peak_shades_what_lies_far_away(trial: Trial) -> dict[str, float]:
     {"flat": 0.005, "curved": 0.005},
 )
 def test_curvature_shortens_long_shadows(trial: Trial) -> dict[str, float]:
-    """The sun's altitude is that where the shadow ends: seen from the peak it stands 0.84 degrees higher."""
+    """The sun's altitude applies where the shadow ends: seen from the peak it stands 0.84 degrees higher."""
     flat, curved = (far_peak(trial, PEAK_M, 0.5, round_m=4000.0, curved=curved) for curved in (False, True))
     assert flat.length_m == pytest.approx(171_890, rel=0.001)
     assert curved.length_m == pytest.approx(longest_shadow_m(PEAK_M, 0.5), rel=0.001) == pytest.approx(93_400, rel=0.001)
@@ -62,9 +62,9 @@ def test_curvature_shortens_long_shadows(trial: Trial) -> dict[str, float]:
     {"not_a_number": 0.0, "lit_though_turned_away": 0.0, "change": 0.01},
 )
 def test_the_sun_crosses_the_horizon(trial: Trial) -> dict[str, float]:
-    """Colours go on without a jump from frame to frame, as a share of their mean; visibility itself may end at once.
+    """Colours change smoothly from frame to frame, as a share of their mean; visibility itself may end at once.
 
-    For what needs level ground, that with a tower.
+    Algorithms for level ground get level ground with a tower.
     """
     scene = horizon_scene(trial)
     size, steps = (256, 21) if trial.thorough else (64, 5)
@@ -93,7 +93,7 @@ def test_the_sun_crosses_the_horizon(trial: Trial) -> dict[str, float]:
 
 
 def horizon_scene(trial: Trial) -> Scene:
-    """Hills of 200 m, on the globe where the algorithm allows it; level ground and a tower for what knows nothing else."""
+    """Return hills of 200 m, on the globe where the algorithm allows it; level ground with a tower for ``planar``."""
     eye = {"kind": "perspective", "fov": 50}
     if trial.algorithm == "planar":
         views = {"eye": {**eye, "eye": [-700, -700, 300], "target": [0, 0, 0]}}
@@ -112,7 +112,7 @@ def horizon_scene(trial: Trial) -> Scene:
     {"missed_shadow": 0.0, "false_shadow": 0.0},
 )
 def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
-    """Its shadow is a strip along the view. What lies within a texel of its outline, or a pixel without these, does not count."""
+    """The shadow is a strip along the view. Points within a texel (else a pixel) of its outline do not count."""
     height_m, thick_m, altitude = 200.0, 20.0, 30.0
     distance_m = (height_m + thick_m / 2) / np.tan(np.radians(altitude))
     beam = box((thick_m, 10_000.0, thick_m), height_m, (distance_m, 0.0))
@@ -125,7 +125,7 @@ def test_a_beam_outside_of_the_view(trial: Trial) -> dict[str, float]:
     assert not (seen.buffer.kind == MESHES).any(), "the beam is not in the view"
     point = seen.buffer.position_frame_m + seen.buffer.frame.origin_earth_m
     half_m = thick_m / 2 + thick_m / 2 / np.tan(np.radians(altitude))
-    beyond_m = np.abs(point[..., 0]) - half_m  # of the strip's edge
+    beyond_m = np.abs(point[..., 0]) - half_m  # from the strip's edge
     distance_m = distances(seen.buffer.position_frame_m, seen.view.in_frame(seen.buffer.frame)[0])
     margin_m = distance_m * seen.view.pixel
     if trial.algorithm == "shadow_map":

@@ -1,4 +1,4 @@
-"""Foliage: cut-out pictures keep the share of light that they stop, and no shadow turns with the viewer."""
+"""Foliage: alpha-tested pictures keep the share of light that they block, and no shadow turns with the viewer."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FOLIAGE = ("shadow_map", "perspective_shadow_map", "planar")
 def planted(
     trial: Trial, places: Sequence, sun: tuple[float, float], terrain: object = None, species: str = "mixed", **keys: object
 ) -> Scene:
-    """The scene of trees at points (east, north), or of polygons with a density, on level ground or another one."""
+    """Return the scene of trees at points (east, north), or of polygons with a density, on level ground or other terrain."""
     given = [shapely.Point(*place) if not isinstance(place, shapely.Geometry) else place for place in places]
     path, kind = trial.folder / "stand.gpkg", given[0].geom_type
     path.unlink(missing_ok=True)
@@ -51,7 +51,9 @@ def planted(
 
 @lru_cache
 def cut_outs(share: float) -> Foliage:
-    """Pictures of one coverage: nothing from the side, from above blobs of a few texels. They live on as those of trees do."""
+    """Return pictures of one coverage: nothing from the side, blobs of a few texels from above. They are cached as those of
+    trees are.
+    """
     field = gaussian_filter(np.random.default_rng(7).random((TEXTURE_PX, TEXTURE_PX)), 3.0, mode="wrap")
     alpha = np.where(field <= np.quantile(field, share), 255, 0).astype(np.uint8)
     clear, blobs = (coverage_mips(np.dstack([np.full_like(a, 80)] * 3 + [a]), THRESHOLD) for a in (np.zeros_like(alpha), alpha))
@@ -60,7 +62,7 @@ def cut_outs(share: float) -> Foliage:
 
 @contextmanager
 def painted(pictures: Foliage) -> Iterator[None]:
-    """Trees of other pictures; maps that are kept know them not."""
+    """Draw trees with other pictures; cached maps do not know them."""
     device().depth_targets.clear()
     with patch.multiple(map_drawing, foliage=lambda: pictures), patch.multiple(planar, foliage=lambda: pictures), \
          patch.multiple(rays, foliage=lambda: pictures), patch.multiple(id_buffer, foliage=lambda: pictures):  # fmt: skip
@@ -69,7 +71,7 @@ def painted(pictures: Foliage) -> Iterator[None]:
 
 CROWN_M, HEIGHT_M, ALTITUDE = 25.6, 150.0, 60.0
 EAST_M, NORTH_M = 42.0, 96.0
-"""How far trees stand apart: no shadow falls on another's, nor below a crown, from far above."""
+"""Distance between trees: seen from far above, no shadow falls on another one or below a crown."""
 
 
 @hard_case(
@@ -80,9 +82,9 @@ EAST_M, NORTH_M = 42.0, 96.0
 def test_billboards(trial: Trial) -> dict[str, float]:
     """A row of crowns under a sun at 60 degrees, seen from 20 km above, beside their shadows.
 
-    The figure is the difference of the share of the crowns' whole shadow that is dark from the share of their picture that is
-    opaque. Shares of blocks of 16 pixels would, with 8 texels a crown, differ by the scatter of a few dozen samples. So many crowns
-    are taken that texels are 20,000 (quick: 6,000): that scatter is below 0.007 here.
+    The figure is the dark share of the crowns' whole shadow minus the opaque share of their picture. Shares of blocks of 16 pixels
+    would, with 8 texels a crown, scatter by a few dozen samples. The crowns have 20,000 texels in all (quick: 6,000): that scatter
+    is below 0.007 here.
     """
     worst, rng = 0.0, np.random.default_rng(3)
     levels = np.arange(0.0, 5.1, 0.5) if trial.thorough else (0.0, 2.5, 4.5, 5.0)
@@ -110,19 +112,20 @@ def test_billboards(trial: Trial) -> dict[str, float]:
     return {"coverage": worst}
 
 
-# -- cameras that go round
+# -- moving cameras
 
 
 def pixels_of(view: PerspectiveView, points_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest pixels of points (n, 3) before a camera: rows and columns (n,), some of them outside of the picture."""
+    """Return the nearest pixels of points (n, 3) before a camera: rows and columns (n,), some outside the picture."""
     x, y, ahead = ((points_earth_m - view.eye_earth_m) @ view.earth_from_camera).T
     row, col = (((v / ahead) * view.focal_px - first) / view.step for v, first in ((y, view.row0), (x, view.col0)))
     return np.rint(row).astype(int), np.rint(col).astype(int)
 
 
 def flickering(one: Seen, other: Seen) -> tuple[float, int]:
-    """Share of the ground's points in one picture that change their class in another though truth does not, and how many of them
-    are in shadow.
+    """Return the share of one picture's ground points whose class changes in another although truth does not.
+
+    The second result is the number of these points in shadow.
     """
     row, col = np.nonzero(one.truth.decidable & (one.buffer.kind == RELIEF))
     frame = one.buffer.frame
@@ -140,7 +143,7 @@ def flickering(one: Seen, other: Seen) -> tuple[float, int]:
     "a camera that goes 180 degrees round a tree, and one overhead that turns", {"flicker": 1e-3}, algorithms=FOLIAGE,
 )  # fmt: skip
 def test_camera_round_a_tree(trial: Trial) -> dict[str, float]:
-    """Points of the first picture, as the others see them; decidable in both, which fringes of leaves are not."""
+    """Points of the first picture, as the others see them. Points must be decidable in both, which excludes fringes of leaves."""
     scene = planted(trial, [(0.0, 0.0)], (110.0, 35.0), height=[20.0] * 2, crown=[9.0] * 2, species="conifer")
     px, target = (640 if trial.thorough else 224), np.array([-12.0, 4.0, 0.0])
     round_it, overhead = [], []
@@ -163,24 +166,24 @@ def test_camera_round_a_tree(trial: Trial) -> dict[str, float]:
 
 
 SIDE = 2
-"""A side of the samples that a pixel's visibility is the mean of, as in a finished picture."""
+"""Samples a side that a pixel's visibility is the mean of, as in a finished picture."""
 
 
 def shares_of(seen: Seen) -> np.ndarray:
-    """Shares of shadow over blocks of 16 pixels of ``SIDE`` x ``SIDE`` samples."""
+    """Return shares of shadow over blocks of 16 pixels with ``SIDE`` x ``SIDE`` samples."""
     rows, cols = (n // SIDE for n in seen.visibility.shape)
     return block_shares(1.0 - seen.visibility.reshape(rows, SIDE, cols, SIDE).mean(axis=(1, 3)))
 
 
 def coverage_of(seen: Seen, blocks: int) -> tuple[float, float]:
-    """The error of the shadow's coverage over blocks, and truth's mean share of shadow there."""
+    """Return the error of the shadow's coverage over blocks, and truth's mean share of shadow there."""
     true = coverage_truth(seen.buffer, seen.scene, seen.casters, 16 * SIDE, blocks, 4)
     return coverage_error(shares_of(seen), true), float(np.nanmean(true))
 
 
 @contextmanager
 def whole_stands() -> Iterator[None]:
-    """No stand is thinned, however small its trees are."""
+    """Draw whole stands: no stand is decimated, however small its trees are."""
     forget = tree_instances.tree_instances_in_perspective.cache.clear, tree_instances.tree_instances_in_map.cache.clear
     [each() for each in forget]
     try:
@@ -191,7 +194,7 @@ def whole_stands() -> Iterator[None]:
 
 
 def cliff(trial: Trial) -> tuple[Scene, PerspectiveView]:
-    """Trees along the upper edge of a cliff of 100 m, their shadows on the plain below it."""
+    """Return trees along the upper edge of a cliff of 100 m; their shadows fall on the plain below it."""
     heights = np.where(np.arange(100)[None, :] < 50, 100.0, 0.0) * np.ones((100, 1))
     ground = trial.raster(heights.astype(np.float32), ENGINEERING, -250.0, 250.0, 5.0, name="cliff")
     places = [(-4.5 + 0.4 * (n % 3), -120.0 + 6.0 * n) for n in range(41)]
@@ -201,7 +204,7 @@ def cliff(trial: Trial) -> tuple[Scene, PerspectiveView]:
 
 
 def border(trial: Trial) -> tuple[Scene, PerspectiveView]:
-    """Trees 30 m high a few metres from where the data ends, towards the sun: crowns reach over the rim."""
+    """Return trees 30 m high a few metres from the edge of the data, towards the sun: crowns extend beyond the rim."""
     ground = trial.raster(np.zeros((41, 41), np.float32), ENGINEERING, -102.5, 102.5, 5.0, name="end")
     places = [(-90.0 + 12.0 * n, -98.0 + 2.0 * (n % 3)) for n in range(16)] + [(97.0, -80.0 + 20.0 * n) for n in range(9)]
     scene = planted(trial, places, (150.0, 30.0), ground, height=[30.0, 30.0], crown=[8.0, 9.0])
@@ -219,12 +222,14 @@ def _size(trial: Trial) -> tuple[int, int]:
     {"coverage": 0.02, "coverage against all trees": 0.02}, algorithms=("shadow_map", "perspective_shadow_map"),
 )  # fmt: skip
 def test_stands(trial: Trial) -> dict[str, float]:
-    """Block by block against truth over the trees that are drawn; and, since far trees are thinned out and the others drawn larger,
-    in the mean over the picture against truth over all of them: single trees are not the same ones. With one sample a pixel half of
-    the bound would be chance: 256 samples a block scatter by 0.015 in the mean. A thinned block differs by 0.04 from the whole one
-    by chance: 96 blocks (all of the quick picture) leave 0.004 of that, 24 would leave 0.009.
+    """Blocks are compared with truth over the drawn trees. The picture's mean is compared with truth over all trees, since
+    distant stands are decimated and the remaining trees drawn larger: single trees differ.
 
-    Not by `planar`, which throws no shadow of trees on trees.
+    With one sample a pixel half of the bound would be chance: 256 samples a block scatter by 0.015 in the mean. A decimated block
+    differs by 0.04 from the whole one by chance: 96 blocks (all of the quick picture) reduce that to 0.004, 24 would reduce it to
+    0.009.
+
+    Not for `planar`, which casts no shadow of trees on trees.
     """
     side_m, blocks = (3200.0, 160) if trial.thorough else (450.0, 96)
     half, texels = side_m / 2.0, 4096 if trial.thorough else 2048

@@ -1,7 +1,7 @@
-"""The same hostility at the front door: level files through the command line, queries through a real server.
+"""Invalid input at the public interfaces: level files through the command line, queries through a real server.
 
-What is wrong is one line (one problem document) that names the file, key or parameter; what is odd but right is a picture of
-valid numbers. Nothing is a traceback, and nothing takes ten seconds, which is a check against hanging and not of speed.
+Invalid input gives one line (one problem document) that names the file, key or parameter. Unusual but valid input gives a picture
+of valid numbers. Nothing gives a traceback. Nothing takes ten seconds, a limit against hanging, not a measure of speed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ PLACE = [15.002, 45.152]
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of good and bad rasters, meshes and vectors."""
+    """A folder of valid and invalid rasters, meshes and vectors."""
     folder = tmp_path_factory.mktemp("front_door")
     (folder / "folder").mkdir()
     heights = np.full((40, 40), 100, np.float32)
@@ -208,7 +208,7 @@ REFUSED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "a sweep of meshes": ({**standing("ok.obj"), "shadows": {"algorithm": "sweep"}}, ("shadows.algorithm", "sweep", "shadow_map")),
     "an unknown key": ({"forrest": []}, ("forrest", "unknown key", "forest")),
 }  # fmt: skip
-"""What is wrong -> keys of a level over ``ok.tif``, and words that its one line must have."""
+"""Invalid levels -> keys of a level over ``ok.tif``, and words that its error line must have."""
 
 DRAWN: dict[str, dict[str, Any]] = {
     "hardly any heights": ground("ok.tif", exaggeration=1e-300),
@@ -230,12 +230,12 @@ DRAWN: dict[str, dict[str, Any]] = {
     "an eye in the ground": looking(*PLACE, -500),
     "an eye at 1e9 m": looking(*PLACE, 1e9),
 }
-"""What is odd but right."""
+"""Unusual but valid levels."""
 
 
 @pytest.fixture(scope="module")
 def compiled(files: Path) -> None:
-    """Every loop that these levels run is compiled: a first run on a machine compiles for half a minute, and does not hang."""
+    """Compile every loop that these levels run: a first run on a machine compiles for half a minute, and does not hang."""
     for keys in (ground("ok.tif"), looking(*PLACE, 300), standing("ok.obj"), houses("square.geojson", 10), lamp(0, 0, 50)):
         level = {"version": 1, **ground("ok.tif"), "sun": {"azimuth": 200, "altitude": 20}, **keys}
         (files / "first.yaml").write_text(json.dumps(level), encoding="utf-8")
@@ -249,7 +249,9 @@ def compiled(files: Path) -> None:
 
 @pytest.fixture
 def render(files, compiled, monkeypatch, capfd) -> Callable[..., tuple[int, str]]:
-    """``render(keys, *arguments)`` draws a level over ``ok.tif``: exit status and what is on standard error, GDAL's words too."""
+    """``render(keys, *arguments)`` draws a level over ``ok.tif``. It returns the exit status and standard error, with GDAL's
+    messages.
+    """
 
     def call(keys: dict[str, Any], *arguments: str) -> tuple[int, str]:
         level = {"version": 1, **ground("ok.tif"), "sun": {"azimuth": 200, "altitude": 20}, **keys}
@@ -317,7 +319,7 @@ WRONG_QUERIES = {
         ("size=9x9&algorithm=perspective_shadow_map", "algorithm"),
     ),
 }  # fmt: skip
-"""Address -> queries, and the parameter that is to blame."""
+"""Address -> queries, and the parameter at fault."""
 
 WRONG_TILES = (
     (ZOOM, 10**9, 0, "x"), (ZOOM, 99999999999999999999999, 0, "x"), (-1, 0, 0, "z"), (10**9, 0, 0, "z"), (ZOOM, -X, Y, "x"),

@@ -1,4 +1,4 @@
-"""The suite can fail: on an engine that is broken on purpose the named hard cases do."""
+"""The suite can fail: with a deliberate defect in the engine the named hard cases fail."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nothing that casts, nothing that receives, and a single point of either."""
+"""Scenes without casters or receivers, and with a single point of either."""
 
 from __future__ import annotations
 
@@ -23,25 +23,26 @@ VIEWS: dict[str, dict[str, Any]] = {
     "map": {"kind": "map", "bounds": [-20, -20, 20, 20]},
     "off": {"kind": "map", "bounds": [500, 500, 540, 540]},
 }
-"""``sky`` and ``off`` the data there is no surface to be seen."""
+"""The views ``sky`` and ``off`` the data show no surface."""
 
 LIGHTS: dict[str, dict[str, Any]] = {"sun": {"sun": (200, 35)}, "spot": {"lights": {"spot": SPOT}}}
 
 POINT = joined(box((0.02, 0.02, 0.02), at_m=(14, 14)), soup([[[0, 0, 2], [1e-6, 0, 2], [0, 1e-6, 2]]]))
-"""A triangle of a micrometre, and a pebble on the ground for it to hover."""
+"""A triangle of a micrometre, and a pebble on the ground below it."""
 
 
 FORCED = {"cast_shadows": "on", "lamps": "on"}
-"""So that there is a step where nothing is seen, too."""
+"""Ensures that there is a step even if no surface is visible."""
 
 
 def filled(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, int]) -> tuple[np.ndarray, bool, int]:
-    """Visibility (n,) of what of a view of ``scene`` faces the light, by the settings that are right for one of ``full``; whether
-    there is any surface; and the draws.
+    """Return the visibility (n,) of points of a view of ``scene`` that face the light, with the settings for a view of ``full``.
+
+    The other results tell whether there is any surface, and give the number of draws.
     """
     asked: View = full.view("eye" if trial.algorithm == "perspective_shadow_map" else view, size=size)
     step = trial.see(full, asked).plan.steps[0]
-    # level ground, where nothing rises, or meshes that are not there
+    # level ground, which nothing rises above, or absent meshes
     kinds = ("relief",) if trial.algorithm == "sweep" else ("meshes",)
     buffer, log = geometry_buffer(scene, scene.view(view, size=size)), PassLog()
     forced = Step(step.light, kinds, step.algorithm, step.settings)
@@ -58,7 +59,7 @@ def filled(trial: Trial, full: Scene, scene: Scene, view: str, size: tuple[int, 
     thorough=False,
 )
 def test_nothing_and_single_points(trial: Trial) -> dict[str, float]:
-    """Plans list no step for casters that are not there: the algorithms are called as if one did."""
+    """Plans list no step for absent casters: the test calls the algorithms as if one did."""
     draws, dark, nothing = 0, 0.0, 0
     views = list(VIEWS)[: 2 if trial.algorithm == "perspective_shadow_map" else None]
     for light, keys in list(LIGHTS.items())[: 1 if trial.algorithm == "sweep" else None]:

@@ -1,4 +1,4 @@
-"""Where a map in the space of the picture is singular or stretched: the sun in the view's axis, behind the eye, across it."""
+"""Perspective maps near their singularities: the sun in the view's axis, behind the eye, across it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ MAPS = ("shadow_map", "perspective_shadow_map")
 PERSPECTIVE = "perspective_shadow_map"
 
 CONE_DEG = 3.0
-"""Within this angle of the view's axis a perspective map says that it is a uniform one."""
+"""Within this angle of the view's axis a perspective map reports that it is uniform."""
 
 DISPLACED = "wrong, of what texels displace"
-"""Pixels that are wrong, as a share of those over which a map's texels displace the edges of the shadow: 1 is what they explain."""
+"""Wrong pixels, as a share of the pixels over which a map's texels displace the shadow's edges: 1 is fully explained."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -29,26 +29,28 @@ TOWERS = [
     block((5, 5, 25), (45 * np.sin(a), 45 * np.cos(a)), turn_deg=20 * n) for n, a in enumerate(np.radians(range(15, 375, 45)))
 ]
 THINGS = [*TOWERS, block((2, 2, 2), (-3, -8)), block((4, 3, 5), (5, 4)), block((5, 5, 0.3), (-8, 6), 6), block((30, 1, 4), (0, 40))]
-"""Towers all round and things of all sizes in between, 90 m across: some behind any eye, some beside it, some in view."""
+"""Towers all round and bodies of all sizes in between, 90 m across: some behind any eye, some beside it, some in view."""
 
 
 def level(
     trial: Trial, blocks: Sequence[trimesh.Trimesh], sun: tuple[float, float], side_m: float = 200.0, cells: int = 20
 ) -> Scene:
-    """Blocks on level ground."""
+    """Return blocks on level ground."""
     return trial.scene(flat(side_m, cells), sun=sun, meshes=[trimesh.util.concatenate(blocks)])
 
 
 def size(trial: Trial) -> tuple[int, int]:
-    """Pixels and texels a side: half the table's, since a frame's truth takes a second at 1024 pixels."""
+    """Return pixels and texels a side: half the table's, since a frame's truth takes a second at 1024 pixels."""
     return (288, 2048) if trial.thorough else (160, 1024)
 
 
 def look(
     trial: Trial, scene: Scene, blocks: Sequence[trimesh.Trimesh], view: PerspectiveView, **asked: object
 ) -> tuple[Seen, dict[str, float], OnGround]:
-    """What is seen of blocks under the level's sun, its figures, the shares of pixels whose visibility is no number and of shadow
-    on the ground. What the figures see of the shadow goes on record.
+    """Draw blocks under the level's sun; return errors, the share of pixels without a valid visibility, and that of shadow on
+    the ground.
+
+    The trial records the coverage of the shadow by the errors.
     """
     sun = scene.loaded.level.sun
     seen = trial.see(scene, view, **{"map_size": size(trial)[1], **asked})
@@ -66,7 +68,7 @@ def look(
 
 
 def worst(found: Sequence[dict[str, float]]) -> dict[str, float]:
-    """The largest of each figure."""
+    """Return the largest of each figure."""
     assert np.mean([0.01 < each["shadow"] < 0.99 for each in found]) > 0.5, f"there is light and shadow: {found}"
     return {name: float(np.max([each[name] for each in found])) for name in found[0]}
 
@@ -81,7 +83,7 @@ def notes(seen: Seen) -> str:
     algorithms=MAPS,
 )  # fmt: skip
 def test_sun_in_the_axis(trial: Trial) -> dict[str, float]:
-    """Both ways off the axis, up and aside: the eye looks at a low sun."""
+    """Both ways off the axis, up and sideways: the eye looks at a low sun."""
     sun, eye = (0.0, 12.0), (0, -20, 5)
     scene, found, beyond = level(trial, THINGS, sun), [], 0
     off = [0.0, 1e-8, 1e-4, 1.0, 2.9, 3.1, 10.0]
@@ -105,7 +107,7 @@ def test_sun_in_the_axis(trial: Trial) -> dict[str, float]:
     {"interior": 0.0, "not finite": 0.0, "edge p95 beyond a shadow map's, px": 1.0}, algorithms=(PERSPECTIVE,),
 )  # fmt: skip
 def test_sun_behind_the_viewer(trial: Trial) -> dict[str, float]:
-    """The shadow map is one closely fitted map of as many texels."""
+    """The shadow map is one tightly fitted map of as many texels."""
     sun, eye = (180.0, 30.0), (0, -25, 14)
     scene, plain, found = level(trial, THINGS, sun), replace(trial, algorithm="shadow_map"), []
     off = [0.0, 1e-6, -1e-6, 3.1, -3.1] + ([1e-8, -1e-8, 1e-4, -1e-4, 1.0, -1.0, 2.9, -2.9, 5.0, -5.0] if trial.thorough else [])
@@ -130,7 +132,8 @@ def test_sun_behind_the_viewer(trial: Trial) -> dict[str, float]:
     {"interior": 0.0, "not finite": 0.0, "jump of edge_p95_px": 1.0},
 )  # fmt: skip
 def test_sun_across_the_view(trial: Trial) -> dict[str, float]:
-    """Steps of 1e-4 degrees to either side of the singular angle, wider ones beyond: away from it maps change with the view alone.
+    """Steps of 1e-4 degrees on either side of the singular angle, wider ones beyond: away from it maps change with the view
+    anyway.
 
     The jump is that from one frame to the next.
     """
@@ -154,13 +157,13 @@ def test_sun_across_the_view(trial: Trial) -> dict[str, float]:
     {"missed_shadow": 0.0, "interior": 0.0, "not finite": 0.0},
 )  # fmt: skip
 def test_casters_in_the_plane_of_the_eye(trial: Trial) -> dict[str, float]:
-    """The eye looks north from y = 0, the sun stands behind it. Missed shadow is counted three pixels inside of the outline."""
+    """The eye looks north from y = 0, the sun stands behind it. Missed shadow is counted three pixels inside the outline."""
     sun, found = (170.0, 40.0), []
     for end_m in (0.0, 1e-6, -1e-6):
         walls = [
             block((4, 2, 30), (0, -8)),  # behind the eye
-            block((2, 3, 9), (-9, end_m - 1.5)), block((2, 3, 9), (9, end_m + 1.5)),  # they end in the plane, and begin there
-            block((3, 6, 0.5), (4, end_m), 8),  # half behind it
+            block((2, 3, 9), (-9, end_m - 1.5)), block((2, 3, 9), (9, end_m + 1.5)),  # end and begin in that plane
+            block((3, 6, 0.5), (4, end_m), 8),  # half behind the eye
         ]  # fmt: skip
         for tilt_deg in (0.0, -15.0):
             axis = towards(0.0, tilt_deg)
@@ -183,7 +186,7 @@ def test_casters_in_the_plane_of_the_eye(trial: Trial) -> dict[str, float]:
     "low suns at three places of the picture's rim, 0.999, 1 and 1.001 of the way", {"interior": 0.0, "not finite": 0.0},
 )  # fmt: skip
 def test_sun_on_the_rim_of_the_picture(trial: Trial) -> dict[str, float]:
-    """The light's image in post-perspective space lies at the corner of the unit cube: at its far plane."""
+    """The light's image in post-perspective space lies at the corner of the unit cube, at its far plane."""
     found, px = [], size(trial)[0]
     view = camera((1, -30, 6), towards(0.0, -12.0), 60.0, px, 1.25)
     half = np.array([view.cols, view.rows]) / 2.0 / view.focal_px
@@ -225,7 +228,7 @@ def test_fields_of_view(trial: Trial) -> dict[str, float]:
     {"interior": 0.0, DISPLACED: 1.0, "not finite": 0.0},
 )  # fmt: skip
 def test_from_a_pebble_to_a_mountain(trial: Trial) -> dict[str, float]:
-    """Mountains are 4 km high: their shadows take some rows of pixels below the horizon. Behind the eye stands a boulder."""
+    """Mountains are 4 km high: their shadows take some rows of pixels below the horizon. A boulder stands behind the eye."""
     found = []
     for sun in ((60.0, 8.0), (300.0, 20.0), (190.0, 30.0)):
         things = [
@@ -243,8 +246,9 @@ def test_from_a_pebble_to_a_mountain(trial: Trial) -> dict[str, float]:
     "the sun 0.5, 2, 89.9 and 90 degrees high, along the view and across it", {"interior": 0.0, DISPLACED: 1.0, "not finite": 0.0},
 )  # fmt: skip
 def test_grazing_and_upright_suns(trial: Trial) -> dict[str, float]:
-    """Walls out of sight shade half of what is seen of the ground, a roof a part of it at noon. A texel on the ground is as long as
-    the sun is low: by 115 times at half a degree, so that these maps have 4096 a side.
+    """Walls outside the view shadow half of the visible ground; at noon a roof shadows a part of it.
+
+    A texel on the ground is as long as the sun is low: by 115 times at half a degree. These maps therefore have 4096 texels a side.
     """
     found = []
     walls = [block((60, 1, 6), (-30, -60)), block((1, 44, 6), (60, -4)), block((60, 1, 6), (-30, 60))]
@@ -264,9 +268,9 @@ def test_grazing_and_upright_suns(trial: Trial) -> dict[str, float]:
     thorough=False,
 )  # fmt: skip
 def test_huge_triangles(trial: Trial) -> dict[str, float]:
-    """What is seen are 200 m of the middle: corners lie a hundred times as far away as any point that is looked up.
+    """The view shows 200 m of the middle: corners lie a hundred times as far away as any point that is looked up.
 
-    Of a shadow map texels are fitted closely: wider ones hide it.
+    The shadow map's texels are fitted tightly: wider ones would hide the error.
     """
     found, closely = [], {"map_size": 2048, "depth_bits": 24, "fit": "tight", "cascades": 1, "filter": 1}
     for cells in (1, 3):

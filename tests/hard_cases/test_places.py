@@ -28,7 +28,7 @@ MAST_M = 100.0
 
 @dataclass(frozen=True)
 class Place:
-    """Where a mast stands, degrees; the CRS of its raster, and the cells' side in units of it."""
+    """The position of a mast, degrees; the CRS of its raster, and the side of the cells in units of it."""
 
     crs: str
     lon: float
@@ -39,12 +39,12 @@ class Place:
 
     @property
     def xy(self) -> tuple[float, float]:
-        """Map coordinates of the mast."""
+        """Return map coordinates of the mast."""
         return Transformer.from_crs("OGC:CRS84", self.crs, always_xy=True).transform(self.lon, self.lat)
 
 
 def mast(trial: Trial, place: Place, sun: tuple[float, float], name: str = "mast") -> Scene:
-    """A mast on level ground in the middle of a raster, which is the level's anchor."""
+    """Return a mast on level ground in the middle of a raster; it is the level's anchor."""
     heights = np.zeros((place.cells, place.cells), np.float32)
     middle = place.cells // 2
     heights[middle - 2 : middle + 3, middle - 2 : middle + 3] = MAST_M / (1200.0 / 3937.0 if place.units == "us-ft" else 1.0)
@@ -58,17 +58,17 @@ def _raster(trial: Trial, heights: np.ndarray, place: Place, name: str) -> Path:
 
 
 def _to_local(lon: float, lat: float) -> Transformer:
-    """Earth-fixed metres to east, north and up at a place."""
+    """Return the transformer from earth-fixed metres to east, north and up at a place."""
     return Transformer.from_pipeline(f"+proj=topocentric +ellps=WGS84 +lon_0={lon} +lat_0={lat} +h_0=0")
 
 
 def _to_earth() -> Transformer:
-    """Degrees and metres of height to earth-fixed metres."""
+    """Return the transformer from degrees and metres of height to earth-fixed metres."""
     return Transformer.from_pipeline("+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart")
 
 
 def view_of(trial: Trial, scene: Scene, px: int) -> View:
-    """The mast and its shadow: in a map cut from the raster's own nodes, or from above for what knows no maps."""
+    """Return the view of the mast and its shadow: a map on the raster's nodes, or a camera above for algorithms without maps."""
     if trial.algorithm != "perspective_shadow_map":
         x, y = (float(v) for v in scene.elevation.xy(0, 0))
         step = float(scene.elevation.xy(0, 1)[0]) - x
@@ -80,18 +80,17 @@ def view_of(trial: Trial, scene: Scene, px: int) -> View:
 
 
 def off_outline_m(seen: Seen, place: Place, azimuth: float, altitude: float) -> float:
-    """How far ground that is lit lies inside the outline of the mast's shadow, or ground in shadow outside of it: the worst of
-    both, metres.
+    """Return the largest distance of wrong pixels from the outline of the mast's shadow, metres: lit inside or dark outside.
 
-    Outline and points are held together in east, north and up at the mast by PROJ's topocentric conversion. A point's class
-    is that of its own, so that pixels need not be small.
+    Outline and points are compared in east, north and up at the mast by PROJ's topocentric conversion. The class of a point is
+    exact there, so pixels need not be small.
     """
     local = _to_local(place.lon, place.lat)
     frame = seen.buffer.frame
     earth_m = seen.buffer.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
     points = np.stack(local.transform(*np.moveaxis(earth_m, -1, 0)), axis=-1)
     x, y = place.xy
-    # Quads are cut along the diagonal that stands higher: at each of the mast's corners a ridge runs down to the foot's.
+    # Quads are cut along the higher diagonal: a ridge runs down from each of the mast's corners to that of its foot.
     corners = []
     for half_cells, height_m in ((2, MAST_M), (3, 0.0)):
         at = half_cells * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * place.cell
@@ -110,14 +109,14 @@ def off_outline_m(seen: Seen, place: Place, azimuth: float, altitude: float) -> 
 
 
 def texel_m(seen: Seen) -> float:
-    """The longer side of an algorithm's texels on the ground, where they are the longest; 0 for what has no texels."""
+    """Return the longer side of an algorithm's largest texels on the ground; 0 without texels."""
     pixel_m = describe(seen.scene, seen.view).pixel_m
     (step,) = seen.plan.steps
     return float(np.max(texel_footprint_px(seen.scene, step, seen.buffer, pixel_m))) * pixel_m
 
 
 def resampled_m(seen: Seen) -> float:
-    """The distance of the nodes that a camera's ground is drawn by, where these are not the raster's own; else 0."""
+    """Return the distance of the nodes of a camera's ground mesh if these are not the raster's own; else 0."""
     ground = seen.buffer.ground
     return 0.0 if ground is None or ground.grid.crs == seen.scene.elevation.crs else describe(seen.scene, seen.view).node_m
 
@@ -125,12 +124,15 @@ def resampled_m(seen: Seen) -> float:
 def worst_of_tolerance(
     trial: Trial, place: Place, suns: list[tuple[float, float]], tolerance_m: float, name: str = "mast"
 ) -> float:
-    """How far a mast's shadow lies off its outline under some suns, as a share of a tolerance, or of a texel where that is more."""
+    """Return the largest distance of a mast's shadow from its outline under some suns.
+
+    The unit is the tolerance, or a texel if that is larger.
+    """
     return max(of_tolerance(trial, mast(trial, place, sun, name), place, sun, tolerance_m) for sun in suns)
 
 
 def of_tolerance(trial: Trial, scene: Scene, place: Place, sun: tuple[float, float], tolerance_m: float) -> float:
-    """The same for a scene whose sun should be the one given."""
+    """Return the same for a scene whose sun should be the one given."""
     px, size = (320, 2048) if trial.thorough else (160, 1024)
     seen = trial.see(scene, view_of(trial, scene, px), map_size=size, filter=1)
     return off_outline_m(seen, place, *sun) / max(tolerance_m, texel_m(seen), resampled_m(seen))
@@ -143,7 +145,7 @@ def of_tolerance(trial: Trial, scene: Scene, place: Place, sun: tuple[float, flo
     {"off its outline, of 0.1 m or a texel": 1.0},
 )
 def test_true_north(trial: Trial) -> dict[str, float]:
-    """Cells of 1 m: between its lines, 8 a cell, the sweep may be off by a share of one."""
+    """Cells are 1 m: between its lines, 8 a cell, the sweep may err by a fraction of a cell."""
     place = Place("EPSG:32633", 18.0, 57.7, 1.0, cells=261)
     suns = [(67.0, 40.0), (180.0, 40.0), (222.0, 40.0), (300.0, 50.0)]
     suns = suns if trial.thorough else suns[:1]
@@ -165,7 +167,7 @@ SAME_PLACE = {
     {"off its outline, of 1 % of its length": 1.0, "sun_deg": 1e-6},
 )
 def test_same_scene_in_every_crs(trial: Trial) -> dict[str, float]:
-    """The sun is that of a time, by the library the engine has it from, at the place itself."""
+    """The sun is that of a time, by the library that the engine uses, at the place itself."""
     time = datetime.fromisoformat("2024-10-21T15:00:00-05:00")
     azimuth, altitude, _ = apparent_position(time, -85.3, 36.1)
     length_m, off, apart = MAST_M / np.tan(np.radians(altitude)), 0.0, 0.0
@@ -198,7 +200,7 @@ EDGES_OF_THE_MAP = {
     "85 degrees north": (Place(POLAR.format(-45), 180.0, 85.0, 4.0), Place(POLAR.format(15), -120.0, 85.0, 4.0)),
     "pole": (Place(POLAR.format(-45), 0.0, 90.0, 4.0), Place("+proj=stere +lat_0=57 +lon_0=15 +k_0=0.969858", 15.0, 57.0, 4.0)),
 }
-"""Places where longitudes break or meet, and beside each one like it where none do."""
+"""Places where longitudes break or meet, each with a similar place without a break."""
 
 MIDSUMMER = {"antimeridian": "2024-06-21T02:00:00+00:00"}
 
@@ -210,8 +212,10 @@ MIDSUMMER = {"antimeridian": "2024-06-21T02:00:00+00:00"}
     {"azimuth_deg": 0.1, "off its outline, of 0.1 degrees": 1.0, "seam_255": 2.0},
 )
 def test_edges_of_the_map(trial: Trial) -> dict[str, float]:
-    """``azimuth_deg`` is that of the level's one sun seen from places 10 km round about, with axes by PROJ, against the sun's
-    position there; ``seam_255`` the largest difference of the picture of a smooth hill from one where no longitude breaks.
+    """``azimuth_deg`` compares the level's one sun, seen from places 10 km around, with the sun's position there; PROJ gives
+    the axes.
+
+    ``seam_255`` is the largest difference of the picture of a smooth hill from one at a place without a break.
     """
     azimuth_deg, off, seam = 0.0, 0.0, 0.0
     for name, (place, twin) in EDGES_OF_THE_MAP.items():
@@ -241,14 +245,14 @@ def _azimuth_error_deg(scene: Scene, place: Place, time: datetime) -> float:
 
 
 def _hill(trial: Trial, place: Place, name: str) -> np.ndarray:
-    """The picture (rows, cols, 3) of a smooth hill at a place, of 255. Grid north is true north there."""
+    """Return the picture (rows, cols, 3) of a smooth hill at a place, of 255. Grid north is true north there."""
     across = (np.arange(place.cells) - place.cells // 2) / place.cells
     heights = (40.0 * np.exp(-8.0 * (across[:, None] ** 2 + across**2))).astype(np.float32)
     scene = trial.scene(_raster(trial, heights, place, name), (143.0, 27.0), name=name)
-    scene = scene.with_style("swiss", None)  # whose colours do not go by the latitude, in which the twin differs
+    scene = scene.with_style("swiss", None)  # the twin has another latitude: the colours must not depend on it
     view = view_of(trial, scene, 96)
     if isinstance(view, PerspectiveView):
-        view = view.part(30, 30, 36, 36)  # ground alone
+        view = view.part(30, 30, 36, 36)  # only ground
     plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": trial.algorithm})
     color = render_frame(scene, view, plan).color.astype(int)
     assert np.ptp(color) > 10, "a hill that is lit from one side"

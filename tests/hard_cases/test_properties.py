@@ -1,6 +1,6 @@
-"""Whatever the ground, the place, the sun and the eye: finite, within [0, 1], and as far from truth as an algorithm may be.
+"""Random terrain, place, sun and eye: values are finite and within [0, 1], and errors within the algorithm's bounds.
 
-Counter-examples that were found stay: they are named in ``FOUND`` and run with the others.
+``FOUND`` names the counter-examples that were found; they run with the others.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ PLACES: dict[str, tuple[str, float, float, float]] = {
     "mercator": ("EPSG:3857", 1_300_000.0, 11_000_000.0, 1.0),
     "feet": ("EPSG:2994", 2_100_000.0, 900_000.0, 1 / 0.3048),
 }
-"""Where the ground's middle lies: CRS, x, y, and how many of its units a metre is taken for."""
+"""Places of the ground's middle: CRS, x, y, and the number of its units per metre."""
 
 ORTHOGONAL, CONDITION = 1e-12, 1e7
-"""Bounds on a rotation's distance from one, and on the condition number of a projection whose rows and columns are scaled to be
-comparable: 1e7 is where float32 has no digit left.
+"""Bounds on a rotation's distance from an orthogonal matrix, and on the condition number of an equilibrated projection:
+float32 has no digit left at 1e7.
 """
 
 
 @dataclass(frozen=True)
 class Eye:
-    """Where a camera stands and looks, as shares of the ground's sides, and how high, in cells."""
+    """The position and direction of a camera, as shares of the ground's sides, and its height in cells."""
 
     at: tuple[float, float]
     target: tuple[float, float]
@@ -66,9 +66,7 @@ class Eye:
 
 @dataclass(frozen=True)
 class Situation:
-    """Everything that is drawn: the ground (its relief in cells), the place, the sun, the eye (``None``: a map), and whether
-    houses stand there.
-    """
+    """A random scene: the ground (its relief in cells), the place, the sun, the eye (``None``: a map), and its houses."""
 
     ground: str
     cells: int
@@ -83,7 +81,7 @@ class Situation:
 
 
 def _evenly(low: float, high: float, steps: int = 1000) -> st.SearchStrategy[float]:
-    """Numbers from a range, all alike: floats would come mostly from its ends."""
+    """Return a strategy of evenly distributed numbers: floats would come mostly from the range's ends."""
     return st.integers(0, steps).map(lambda step: round(low + (high - low) * step / steps, 4))
 
 
@@ -108,7 +106,7 @@ SITUATIONS = st.builds(
 
 
 def heights_of(it: Situation) -> np.ndarray:
-    """Heights in metres (cells, cells) float32, NaN where there is none."""
+    """Return heights in metres (cells, cells) float32, NaN without data."""
     rng = np.random.default_rng(it.seed)
     n, relief = it.cells, min(it.relief_cells * it.cell_m, 8000.0)
     row, col = np.mgrid[:n, :n]
@@ -128,13 +126,13 @@ def heights_of(it: Situation) -> np.ndarray:
     else:
         base = relief * rng.random((n, n))
         base[rng.random((n, n)) < 0.3] = np.nan
-        for east, north in [(0.5, 0.5)] if it.eye is None else [it.eye.at, it.eye.target]:  # ground to stand on, and to look at
+        for east, north in [(0.5, 0.5)] if it.eye is None else [it.eye.at, it.eye.target]:  # ground to stand on and to look at
             base[np.hypot(row - (1 - north) * n, col - east * n) < 2.0] = relief / 2
     return base.astype(np.float32)
 
 
 def scene_of(it: Situation, folder: Path) -> Scene:
-    """The scene of a situation, its only camera ``eye``."""
+    """Return the scene of a situation; its only camera is ``eye``."""
     trial = Trial("", False, folder)
     crs, x, y, units = PLACES[it.place]
     side = it.cell_m * units
@@ -156,8 +154,10 @@ def scene_of(it: Situation, folder: Path) -> Scene:
 
 
 def view_of(it: Situation, scene: Scene) -> View:
-    """The camera, or a map of the whole ground; across the antimeridian in degrees, for UTM zones end there, and of no more pixels
-    than a view of such degrees may tell apart: its pixels are at least 1e-9 of its coordinates.
+    """Return the camera, or a map of the whole ground.
+
+    Across the antimeridian the map is in degrees, since UTM zones end there. Its pixels are at least 1e-9 of its coordinates, which
+    such a view must be able to resolve.
     """
     if it.eye is not None:
         return scene.view("eye")
@@ -168,7 +168,7 @@ def view_of(it: Situation, scene: Scene) -> View:
 
 
 def _place(it: Situation, share: tuple[float, float]) -> list[float]:
-    """Metres from the middle, or degrees, of a place given in shares of the ground's sides."""
+    """Return metres from the middle, or degrees, of a place given as shares of the ground's sides."""
     crs, x, y, units = PLACES[it.place]
     distance_m = [(s - 0.5) * it.cells * it.cell_m for s in share]
     if crs == ENGINEERING:
@@ -179,9 +179,9 @@ def _place(it: Situation, share: tuple[float, float]) -> list[float]:
 
 
 def matrices(seen: Seen) -> tuple[float, float]:
-    """How far the rotations of a view and its light are from being such, and the largest condition number of its projections.
+    """Return the largest error of the rotations of a view and its light, and the largest condition number of its projections.
 
-    A projection is taken of the cube round what is seen: how far away the origin lies is no matter of its own.
+    A projection applies to the cube round the visible points: the origin's distance does not count.
     """
     buffer, scene = seen.buffer, seen.scene
     assert scene.light is not None
@@ -235,7 +235,7 @@ FOUND = {
         "cliff", 12, 0.1, 0.01, 0, "degrees past 180", 270.0, 30.0, None, True
     ),
 }  # fmt: skip
-"""What broke something once, by what it was."""
+"""Former failures, by cause."""
 
 ALGORITHMS = ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "sweep")
 EXAMPLES, THOROUGH_EXAMPLES = 10, 100
@@ -244,7 +244,7 @@ _BOUNDS = {"rotation_skew": ORTHOGONAL, "condition": CONDITION, "wrong beyond it
 
 
 def outcome(trial: Trial, it: Situation) -> dict[str, float]:
-    """The figures of a situation; all 0 where the algorithm refuses it."""
+    """Return the figures of a situation; all 0 where the algorithm refuses it."""
     with TemporaryDirectory() as folder:
         scene = scene_of(it, Path(folder))
         try:

@@ -1,4 +1,4 @@
-"""Rasters as they come: holes and sentinels, turned and stretched grids, single cells, grids of the whole earth."""
+"""Real-world rasters: holes and sentinels, rotated and stretched grids, single cells, grids of the whole earth."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tests.rasters import ENGINEERING
 from tests.render import render
 
 SENTINELS = (np.nan, np.inf, -np.inf, -32768.0, 3.4e38, -9999.0)
-"""What files write where they have no height; the last is the one that these files declare."""
+"""Values that files use for nodata; the last one is declared in these files."""
 
 CELL_M = 8.0
 
 ON = {"cast_shadows": "on"}
-"""Level ground would else be left out as no caster at all."""
+"""Prevents that level ground is left out because it casts nothing."""
 
 
 @hard_case(
@@ -52,7 +52,7 @@ def test_holes_cast_nothing(trial: Trial) -> dict[str, float]:
 
 
 def plateau_with_holes(side: int, sentinel: float | None = None) -> np.ndarray:
-    """100 m everywhere, and holes: one of each sentinel, sprinkled single cells, a sea with an island and one with one cell."""
+    """Return 100 m everywhere, and holes: one of each sentinel, random single cells, a sea with an island and one with one cell."""
     heights = np.full((side, side), 100.0, np.float32)
     part = side // 8
 
@@ -104,24 +104,24 @@ def test_shadows_cross_holes(trial: Trial) -> dict[str, float]:
 
 
 BLOCK_BOUNDS = {"tip_px": 2.0, "side_px": 1.0, "surface lost or made up": 0.0}
-"""The tip may miss by a pixel, and by a node: where nodes are no centres of cells, the top ends at the last node on it."""
+"""The tip may miss by a pixel and by a node: where nodes are not cell centres, the top ends at its last node."""
 
 
 @dataclass(frozen=True)
 class Lying:
-    """How a raster lies: ``CELL_M``-sized cells or others, its axes turned or mirrored; metres per column and per row."""
+    """The orientation of a raster: its cells' size, and its axes, rotated or mirrored; metres per column and per row."""
 
     per_col_m: tuple[float, float]
     per_row_m: tuple[float, float]
 
     def transform(self, rows: int, cols: int) -> Affine:
-        """The cells' places in the CRS, the middle of the raster at (0, 0)."""
+        """Return the geotransform, with the middle of the raster at (0, 0)."""
         (a, d), (b, e) = self.per_col_m, self.per_row_m
         return Affine(a, b, -(a * cols + b * rows) / 2, d, e, -(d * cols + e * rows) / 2)
 
 
 def turned(deg: float, width_m: float = CELL_M, height_m: float = CELL_M) -> Lying:
-    """A raster turned counter-clockwise."""
+    """Return a raster rotated counter-clockwise."""
     sin, cos = np.sin(np.radians(deg)), np.cos(np.radians(deg))
     return Lying((width_m * cos, width_m * sin), (height_m * sin, -height_m * cos))
 
@@ -154,7 +154,7 @@ def test_stretched_and_mirrored_rasters(trial: Trial) -> dict[str, float]:
 
 
 def shadows_of_blocks(trial: Trial, layings: tuple[Lying, ...]) -> dict[str, float]:
-    """The worst over rasters of 480 m a side; a quick run takes every third one."""
+    """Return the largest errors over rasters of 480 m a side; a quick run takes every third one."""
     worst: dict[str, float] = {}
     for number, lying in enumerate(layings if trial.thorough else layings[::3]):
         shape = tuple(int(np.rint(480.0 / np.hypot(*step))) for step in (lying.per_row_m, lying.per_col_m))
@@ -163,7 +163,7 @@ def shadows_of_blocks(trial: Trial, layings: tuple[Lying, ...]) -> dict[str, flo
 
 
 def shadow_of_block(trial: Trial, lying: Lying, shape: tuple[int, int], name: str = "level") -> dict[str, float]:
-    """A block's shadow along the axes of its raster of (rows, cols) against the edge of the block's top, moved by its length."""
+    """Compare a block's shadow along its raster's axes with the edge of the block's top, moved by the shadow's length."""
     (rows, cols), pixels = shape, 256 if trial.thorough else 96
     placing, sides_m = lying.transform(rows, cols), (np.hypot(*lying.per_row_m), np.hypot(*lying.per_col_m))
     height_m, altitude = max(rows * sides_m[0], cols * sides_m[1]) / 12, 24.0
@@ -171,9 +171,9 @@ def shadow_of_block(trial: Trial, lying: Lying, shape: tuple[int, int], name: st
     heights = np.zeros(shape, np.float32)
     heights[block] = height_m
     path = trial.raster(heights, ENGINEERING, 0.0, 0.0, 1.0, name=name, transform=placing)
-    # Through clear air: cells of 1 km lie so far away that a camera sees no shadow there through any other.
+    # Through clear air: with cells of 1 km the camera is so far away that any other air would hide the shadow.
     scene = trial.scene(path, (0, altitude), name=name, weather={"visibility": 1e7})
-    # Nodes are the centres of cells, and the top ends at the outermost ones.
+    # Nodes are the centres of cells, and the top ends at the outermost nodes.
     corners = np.array([placing @ (c + 0.5, r + 0.5) for r in block[0].ravel()[[0, -1]] for c in block[1].ravel()[[0, -1]]])
     worst: dict[str, float] = {}
     for axis_m, cells in ((lying.per_col_m, cols), (lying.per_row_m, rows)):
@@ -200,7 +200,7 @@ def shadow_of_block(trial: Trial, lying: Lying, shape: tuple[int, int], name: st
 
 
 def larger(one: dict[str, float], other: dict[str, float]) -> dict[str, float]:
-    """The larger of each figure."""
+    """Return the larger value of each figure."""
     return {name: max(value, one.get(name, value)) for name, value in other.items()}
 
 
@@ -232,7 +232,7 @@ def test_cells_and_grids_of_any_size(trial: Trial) -> dict[str, float]:
     thorough=False,
 )
 def test_smallest_rasters(trial: Trial) -> dict[str, float]:
-    """In maps: what a camera sees are triangles between nodes, and a single one has none."""
+    """As maps: a camera sees triangles between nodes, and a single node has none."""
     lonely = np.full((64, 64), np.nan, np.float32)
     lonely[30, 33] = 5.0
     worst: dict[str, float] = {}
@@ -293,8 +293,9 @@ def test_numbers_of_every_kind(trial: Trial) -> dict[str, float]:
     algorithms=("shadow_map",),
 )
 def test_grids_of_the_earth(trial: Trial) -> dict[str, float]:
-    """What can serve a view this wide: ``shadow_map``. The sun's altitude at each pixel is that of its own vertical; pixels and
-    facets (1 degree wide) within a degree of the terminator do not count, nor does the picture's rim, where nodes end.
+    """Only ``shadow_map`` serves such a wide view. The sun's altitude at each pixel refers to its own vertical.
+
+    Pixels and facets (1 degree wide) within a degree of the terminator do not count, nor does the picture's rim, where nodes end.
     """
     worst: dict[str, float] = {}
     pixels = 256 if trial.thorough else 96
@@ -325,12 +326,12 @@ REAL = {
     "nz_elev_1km_oceanholes.tif": 0.15, "slovenia_TM1_564_146_nodata.tif": 0.9, "texas_flat_3arcsec_4326.tif": 0.9,
     "vanderford_64m_epsg3031.tif": 0.05,
 }  # fmt: skip
-"""Odd rasters of the world, and the share of their map that shows something, at least."""
+"""Unusual rasters of the world, and the least share of their map that shows data."""
 
 
 @pytest.mark.parametrize("file", REAL)
 def test_odd_rasters_of_the_world_are_drawn(gl, shared_data, make_scene, file):
-    """R6: with what is chosen for them, under a low sun: neither all lit nor all dark, and a number wherever there is ground."""
+    """R6: with the selector's plan under a low sun. The map is neither all lit nor all dark, and finite on all ground."""
     scene = make_scene(shared_data / "odd" / file, 75.0, 3.0)
     frame = render(scene, scene.view(size=(96, 96)))
     assert frame.valid.mean() > REAL[file]
@@ -341,6 +342,6 @@ def test_odd_rasters_of_the_world_are_drawn(gl, shared_data, make_scene, file):
 
 
 def test_a_raster_of_nothing_is_refused(shared_data, make_scene):
-    """R6: every cell of this one is nodata."""
+    """R6: every cell of this raster is nodata."""
     with pytest.raises(SourceError, match="CHM_empty.tif.*no height in any cell"):
         make_scene(shared_data / "odd" / "CHM_empty.tif")

@@ -1,4 +1,4 @@
-"""The same picture again: in the same process, in a new one, and as far as it is decided by another rasteriser."""
+"""Repeatable pictures: in the same process, in a new one, and, where truth is decidable, with another rasteriser."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def pictures(algorithm: str, folder: Path, px: int) -> list[np.ndarray]:
-    """The visibility of a site in all views that an algorithm serves."""
+    """Return the visibility of a site in all views that an algorithm serves."""
     trial = Trial(algorithm, False, folder)
     scene = site(trial)
     return [trial.see(scene, view).visibility for view in views_of(trial, scene, px)]
 
 
 def pictures_elsewhere(algorithm: str, folder: Path, px: int, **environment: str) -> tuple[str, list[np.ndarray]]:
-    """The same from a process of its own, and the name of its renderer."""
+    """Return the same from a fresh process, and the name of its renderer."""
     code = (
         "import sys; import numpy as np; from pathlib import Path; from skugga.terrain.gl.device import device;"
         "from tests.hard_cases.test_repeatable import pictures;"
@@ -45,7 +45,7 @@ def pictures_elsewhere(algorithm: str, folder: Path, px: int, **environment: str
 
 
 def differing(one: list[np.ndarray], other: list[np.ndarray]) -> float:
-    """The largest share of values that differ between pictures, to the bit."""
+    """Return the largest share of values that differ between pictures, to the bit."""
     assert all(0.02 < (picture < 0.5).mean() < 0.98 for picture in one), "light and shadow"
     return max(float((a.view(np.uint32) != b.view(np.uint32)).mean()) for a, b in zip(one, other, strict=True))
 
@@ -57,7 +57,7 @@ def differing(one: list[np.ndarray], other: list[np.ndarray]) -> float:
     {"values that differ": 0.0},
 )
 def test_the_same_again(trial: Trial) -> dict[str, float]:
-    """A new process costs seconds: it is for the thorough case."""
+    """A new process takes seconds: only the thorough case starts one."""
     px = 512 if trial.thorough else 128
     first = pictures(trial.algorithm, trial.folder, px)
     kept = pictures(trial.algorithm, trial.folder, px)
@@ -70,7 +70,7 @@ def test_the_same_again(trial: Trial) -> dict[str, float]:
 
 @pytest.mark.long
 def test_another_rasteriser(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
-    """Masks by the graphics hardware at hand differ from the software rasteriser's where truth is not decidable alone."""
+    """Masks by the available graphics hardware differ from the software rasteriser's only where truth is not decidable."""
     record = CROSS.run(ENGINE, True, tmp_path)
     record_property(RECORD, json.dumps(record))
     assert not failures(record)
@@ -94,7 +94,7 @@ def _across_rasterisers(trial: Trial) -> Mapping[str, float]:
 
 SOFTWARE = ("llvmpipe", "softpipe", "swrast")
 MESA = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/usr/share/glvnd/egl_vendor.d/50_mesa.json"}
-"""What makes EGL take Mesa, whose software rasteriser is at hand everywhere, before a driver of its own."""
+"""Makes EGL use Mesa, whose software rasteriser is available everywhere, before a vendor's driver."""
 
 CROSS = Case(
     "H34", "The same picture comes out again, to the bit", "by graphics hardware, where truth is decidable",

@@ -1,4 +1,4 @@
-"""Ground as steep as a raster can state it: needles, cliffs and saw-teeth of single cells."""
+"""The steepest ground that a raster can hold: needles, cliffs and saw-teeth of single cells."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ CELL_M = 32.0
 
 
 def on_plain(trial: Trial, heights: np.ndarray) -> Scene:
-    """The scene of a raster in a flat world whose north-west corner is (0, 0)."""
+    """Return the scene of a raster in a flat world whose north-west corner is (0, 0)."""
     return trial.scene(trial.raster(heights.astype(np.float32), ENGINEERING, 0.0, 0.0, CELL_M), (270, 45))
 
 
 def texel_m(seen: Seen) -> float:
-    """The widest texel on the ground of what was drawn with; 0 without maps."""
+    """Return the largest texel on the ground of the maps that were used; 0 without maps."""
     pixel_m = describe(seen.scene, seen.view).pixel_m
     steps = seen.plan.steps_under(seen.light)
     return pixel_m * max(float(np.max(texel_footprint_px(seen.scene, step, seen.buffer, pixel_m))) for step in steps)
@@ -36,9 +36,11 @@ def texel_m(seen: Seen) -> float:
     {"length": 0.01, "interior": 0.0, "not finite": 0.0},
 )
 def test_a_needle(trial: Trial) -> dict[str, float]:
-    """The needle is a pyramid two cells wide: its shadow narrows to nothing. Where it is narrower than a texel no map can hold it,
-    and where it is narrower than what the pixels leave out beside its axis none shows it: ``length`` is what is missing or too
-    much beyond that. In a pixel per cell its shadow has no interior: that is what a closer look is for.
+    """The needle is a pyramid two cells wide: its shadow narrows to a point.
+
+    No map can hold it where it is narrower than a texel. No pixel shows it where it is narrower than the gap between the pixels and
+    its axis. ``length`` is the excess or deficit beyond that. At a pixel per cell its shadow has no interior: the close view has
+    one.
     """
     cells = 256 if trial.thorough else 128
     heights = np.zeros((cells, cells))
@@ -107,9 +109,9 @@ def test_a_cliff(trial: Trial) -> dict[str, float]:
     {"wrong": 0.0, "not finite": 0.0},
 )
 def test_saw_teeth(trial: Trial) -> dict[str, float]:
-    """In closed form: a point is dark where its slope faces away or the next crest towards the sun stands above its ray.
+    """In closed form: a point is dark if its slope faces away or if the next crest towards the sun rises above its ray.
 
-    Points within two texels of the line between do not count: a nearest lookup and its bias reach so far.
+    Points within two texels of the boundary do not count: a nearest lookup and its bias reach as far.
     """
     cells, height_m = (256, 40.0) if trial.thorough else (96, 40.0)
     heights = np.zeros((cells, cells))

@@ -1,4 +1,4 @@
-"""Nothing crawls or flickers: a camera that moves, turns or zooms leaves the shadows on the ground as they are."""
+"""Temporal stability: a camera that moves, turns or zooms does not change the shadows on the ground."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.metrics import flicker
 
 
 def flickers(frames: list[Seen]) -> list[float]:
-    """FK of each frame and the next: of the points that each pixel shows and the next frame shows as well, at its nearest pixel."""
+    """Return FK of each pair of frames: over the points that both show, at the nearest pixel of the next frame."""
     shares = []
     for one, other in zip(frames, frames[1:], strict=False):
         known, row, col = _pixels_of(one, other)
@@ -43,7 +43,7 @@ def flickers(frames: list[Seen]) -> list[float]:
 
 
 def _pixels_of(one: Seen, other: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where a picture's points are seen in another one: whether they are, and the nearest pixel's row and column."""
+    """Project a picture's points into another one: whether they are visible, and the nearest pixel's row and column."""
     frame, view = one.buffer.frame, other.view
     assert isinstance(view, PerspectiveView)
     earth_m = one.buffer.position_frame_m @ frame.frame_from_earth + frame.origin_earth_m
@@ -59,7 +59,7 @@ def _pixels_of(one: Seen, other: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def turned(view: PerspectiveView, up_earth: np.ndarray, turn_deg: float) -> PerspectiveView:
-    """The camera turned to the left about the vertical."""
+    """Return the camera turned to the left about the vertical."""
     x, y, z = up_earth
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.radians(turn_deg)
@@ -68,7 +68,7 @@ def turned(view: PerspectiveView, up_earth: np.ndarray, turn_deg: float) -> Pers
 
 
 def moved(kind: str, scene: Scene, view: PerspectiveView, frame: int) -> PerspectiveView:
-    """A view after some frames of 0.1 px of pan, 0.01 degrees of yaw or 1 % of zoom each."""
+    """Return a view after some frames of 0.1 px of pan, 0.01 degrees of yaw or 1 % of zoom each."""
     if kind == "pan":
         return view.shifted(0.07 * frame, 0.07 * frame)
     if kind == "yaw":
@@ -77,7 +77,10 @@ def moved(kind: str, scene: Scene, view: PerspectiveView, frame: int) -> Perspec
 
 
 def steadiness(trial: Trial, kind: str) -> dict[str, float]:
-    """Mean FK over the frames of a move, all drawn by the first one's plan; a few frames alone where truth has to be asked."""
+    """Return mean FK over the frames of a move, all drawn by the first one's plan.
+
+    Where truth must be computed, only a few frames are compared.
+    """
     scene, is_map = site(trial), trial.algorithm in ("shadow_map", "perspective_shadow_map")
     view = scene.view("oblique", size=(320, 240) if trial.thorough else (128, 96))
     count = (40 if is_map else 4) if trial.thorough else 3
@@ -88,9 +91,9 @@ def steadiness(trial: Trial, kind: str) -> dict[str, float]:
 
 
 def map_flickers(trial: Trial, scene: Scene, views: list[PerspectiveView], **asked: object) -> list[float]:
-    """FK of each frame and the next of an algorithm with one map, on the very points of the frame: looked up in both maps.
+    """Return FK of each pair of frames of an algorithm with one map, with the frame's own points looked up in both maps.
 
-    Truth cannot change, since the points are the same ones.
+    Truth cannot change, since the points are the same.
     """
     shares = []
     frames = [trial.see(scene, view, cascades=1, **asked) for view in views]
@@ -104,7 +107,7 @@ def map_flickers(trial: Trial, scene: Scene, views: list[PerspectiveView], **ask
 
 
 def _dark_by(scene: Scene, step: Step, drawn_for: GeometryBuffer, points: GeometryBuffer) -> np.ndarray:
-    """Which points of a buffer (rows, cols) are in shadow by the map that is drawn for another one of the same frame."""
+    """Return which points of a buffer (rows, cols) are in shadow by the map of another buffer in the same frame."""
     assert drawn_for.frame is points.frame and step.settings is not None
     turned_away = attached(drawn_for, scene), attached(points, scene)
     if isinstance(step.settings, ShadowMapSettings):
@@ -177,16 +180,16 @@ def test_whole_pixel_shifts(trial: Trial) -> dict[str, float]:
     ("shadow_volume", "hybrid", "planar", "sweep"),
 )
 def test_whole_pixel_shifts_without_texels(trial: Trial) -> dict[str, float]:
-    """Corners are rounded to a grid of 1/256 pixel that moves with the view, and lines are laid through its middle: a pixel whose
-    centre lies on an edge, or whose ray grazes a ridge, may go either way. Such pixels are truth's own boundary.
+    """Corners snap to a grid of 1/256 pixel that moves with the view, and sweep lines run through the view's middle. A pixel
+    whose centre lies on an edge, or whose ray grazes a ridge, may have either class. Such pixels are truth's own boundary.
     """
     return {"flicker": _whole_pixel_flicker(trial)}
 
 
 def _whole_pixel_flicker(trial: Trial) -> float:
-    """The largest FK of whole-pixel shifts: points of the overlap are the same ones, and each frame has a plan of its own.
+    """Return the largest FK of whole-pixel shifts: the overlap has the same points, and each frame has a plan of its own.
 
-    What has no texels that could move is shifted 60 times alone.
+    Algorithms without texels get 60 shifts only.
     """
     scene = site(trial)
     px, size = (256, 512) if trial.thorough else (128, 128)
@@ -205,7 +208,7 @@ def _whole_pixel_flicker(trial: Trial) -> float:
 
 
 def _shared(shift: int, px: int) -> slice:
-    """What of a side is still seen after a shift."""
+    """Return the slice of a side that is still visible after a shift."""
     return slice(max(shift, 0), px + min(shift, 0))
 
 
@@ -217,9 +220,11 @@ def _shared(shift: int, px: int) -> slice:
     ("shadow_map",),
 )
 def test_a_full_turn(trial: Trial) -> dict[str, float]:
-    """A map is fitted to what is seen, and a turn shows other ground: a size that held for every direction would be that of the
-    whole circle, with texels several times as wide. So sizes are constant but for steps by the fourth root of 2, and a frame in
-    which one steps is rare; between steps nothing flickers. A run of frames is looked at every 10 degrees.
+    """A map is fitted to the visible ground, and a turn shows other ground. One size for every direction would be that of the
+    whole circle, with texels several times as wide.
+
+    So sizes are constant but for steps by the fourth root of 2. Frames with such a step are rare, and nothing flickers between
+    steps. The test draws a run of frames every 10 degrees.
     """
     scene = site(trial, sun=(237.0, 30.0))
     view = scene.view("oblique", size=(128, 96))

@@ -1,4 +1,4 @@
-"""Suns at the ends of what there is: on the horizon, at the zenith, all day and never, in years without a calendar."""
+"""Extreme suns: on the horizon, at the zenith, all day and never, and in years outside the calendar."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ CELL_M = 32.0
     {"not finite": 0.0, "light at night": 0.0, "wrong": MAX_INTERIOR},
 )
 def test_suns_at_the_limits(trial: Trial) -> dict[str, float]:
-    """Grazing light has no tolerance of its own: what is wrong, at edges too, may be what a target may miss inside, 0.1 %."""
+    """Grazing light has no tolerance of its own: the share of wrong pixels, edges included, must meet the interior target of
+    0.1 %.
+    """
     cells = 256 if trial.thorough else 64
     scene = trial.scene(trial.raster(hills(cells, 200.0), ENGINEERING, 0.0, 0.0, CELL_M), (200, 45))
     not_finite = light = wrong = 0.0
@@ -92,7 +94,7 @@ REFUSED = {
     "now": "ISO 8601",
     "١٢:٠٠": "ISO 8601",
 }
-"""Times that are none here, and a word of what is allowed."""
+"""Invalid times, and a word of the message that says what is allowed."""
 
 
 @pytest.mark.parametrize("time", REFUSED)

@@ -1,4 +1,4 @@
-"""Seams and azimuths: where two windows of the same ground meet, and lines of a sweep all round the compass."""
+"""Seams and azimuths: two windows of the same ground meet, and sweep lines run in all directions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SEAM_PX = 2
 
 
 def hills(cells: int, height_m: float, seed: int = 4, rough_m: float = 0.0) -> np.ndarray:
-    """Rolling ground (cells, cells) float32 of a few waves, its heights up to about ``height_m``; rough by so much in each cell."""
+    """Return rolling ground (cells, cells) float32 of a few waves up to about ``height_m``, with noise ``rough_m`` per cell."""
     rng = np.random.default_rng(seed)
     row, col = np.mgrid[:cells, :cells]
     waves = sum(np.sin((a * row + b * col) / 9.0 + c) for a, b, c in rng.uniform(-1.0, 1.0, (5, 3)) * (1.0, 1.0, np.pi))
@@ -27,7 +27,7 @@ def hills(cells: int, height_m: float, seed: int = 4, rough_m: float = 0.0) -> n
 
 
 def windows(trial: Trial, scene: Scene, pixels: int) -> tuple[View, View, View]:
-    """The west half, the east half and the whole of a view of the middle of the level."""
+    """Return the west half, the east half and the whole of a view of the level's middle."""
     view = whole(trial, scene, pixels)
     if isinstance(view, MapView):
         west, south, east, north = scene.elevation.bounds
@@ -38,7 +38,7 @@ def windows(trial: Trial, scene: Scene, pixels: int) -> tuple[View, View, View]:
 
 
 def near_seam(pixels: int) -> np.ndarray:
-    """The pixels of the whole within ``SEAM_PX`` of where the halves meet, (1, cols)."""
+    """Return the pixels of the whole within ``SEAM_PX`` of the seam between the halves, (1, cols)."""
     return np.abs(np.arange(pixels) + 0.5 - pixels / 2)[None] < SEAM_PX
 
 
@@ -81,7 +81,7 @@ def test_seams_throw_nothing(trial: Trial) -> dict[str, float]:
 def test_every_azimuth(trial: Trial) -> dict[str, float]:
     """A pixel is a cell. Off the axes and diagonals lines run between nodes, so that the octants differ.
 
-    At one azimuth of the 360 (74 degrees) a single pixel of 3,614 differs from the rays: were the sun 0.002 degrees higher, the
+    At one azimuth of the 360 (74 degrees) a single pixel of 3,614 differs from the rays: with the sun 0.002 degrees higher the
     sweep would light it, too.
     """
     cells, pixels = 128, 64

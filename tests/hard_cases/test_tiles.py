@@ -1,4 +1,4 @@
-"""Tiles that are drawn apart join, whichever frames they are drawn in, and zooming in moves no shadow."""
+"""Adjacent tiles join, in whichever frames they are drawn, and zooming in moves no shadow."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ LON, LAT, ZOOM = -84.27, 36.2933, 12
     falls_short={(algorithm, "same frame"): 9.77e-5 for algorithm in ("shadow_volume", "hybrid")},
 )
 def test_tiles_join(trial: Trial) -> dict[str, float]:
-    """Half of a tile is drawn with its neighbour once more.
+    """Half of a tile is drawn a second time with its neighbour.
 
-    Volumes, which are drawn in the tile's own camera, and lines, which are laid through its middle, are held to pixels that are
-    decidable: a tile's pixels are the ground's very nodes, where edges of volumes begin and which lines graze, and which side of
-    its own edge a node lies on is a matter of rounding. So are nodes through which edges run, as the sun sees them. That leaves
-    most of it out and not all: 5 of 51,200 pixels.
+    Volumes, which are drawn in the tile's own camera, and lines, which run through its middle, are compared at decidable pixels. A
+    tile's pixels are exactly the ground's nodes, where edges of volumes begin and which lines graze: rounding decides on which side
+    of its own edge a node lies. The same holds for nodes on edges as the sun sees them. That excludes most of the tile, but not
+    all: 5 of 51,200 pixels.
     """
     px = 320 if trial.thorough else 160
     altitudes = (20.0, 4.0) if trial.thorough else (10.0,)
@@ -50,7 +50,7 @@ def test_tiles_join(trial: Trial) -> dict[str, float]:
 
 
 def _differing(trial: Trial, scene: Scene, tile: MapView, beside: MapView) -> float:
-    """Share of the pixels whose class differs in the strip that two tiles have in common."""
+    """Return the share of the pixels whose class differs in the strip that two tiles have in common."""
     one, other = trial.see(scene, tile), trial.see(scene, beside)
     strip = tile.cols // 2
     here, right = one.dark[:, -strip:], other.dark[:, :strip]
@@ -62,7 +62,7 @@ def _differing(trial: Trial, scene: Scene, tile: MapView, beside: MapView) -> fl
 
 
 def _on_edges(seen: Seen) -> np.ndarray:
-    """Which pixels of a tile, nodes, see the sun by some of their facets and not by all: edges of what casts begin there."""
+    """Return which pixels of a tile, at nodes, see the sun by some of their facets only: silhouette edges begin there."""
     surface, view = seen.buffer.surface, seen.view
     assert surface is not None and isinstance(view, MapView) and seen.scene.sun is not None
     faces = (surface.sheet.normals_frame @ seen.scene.sun.in_frame(seen.buffer.frame)) > 0.0
@@ -74,7 +74,7 @@ def _on_edges(seen: Seen) -> np.ndarray:
 
 
 def _last_of_its_frame(scene: Scene, tile: MapView) -> MapView:
-    """The tile as far east as its frame goes: half a tile on another one begins."""
+    """Return the easternmost tile of its frame: half a tile further another frame begins."""
     half = tile.cols // 2
     own = view_frame(scene, tile)
     while view_frame(scene, tile.part(0, half, tile.rows, tile.cols)) is own:
@@ -83,7 +83,7 @@ def _last_of_its_frame(scene: Scene, tile: MapView) -> MapView:
 
 
 def _zoom_edges_px(trial: Trial, scene: Scene, tile: MapView) -> np.ndarray:
-    """Distances between the edges of shadows in a tile and in its four of the next zoom, in the tile's pixels."""
+    """Return distances between shadow edges in a tile and in its four children of the next zoom, in the tile's pixels."""
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), ZOOM + 1)
     finer = MapView(grid, 2.0 * tile.row0, 2.0 * tile.col0, 1.0, 1.0, 2 * tile.rows, 2 * tile.cols)
     coarse, fine = trial.see(scene, tile), trial.see(scene, finer)

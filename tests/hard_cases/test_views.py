@@ -1,4 +1,4 @@
-"""Views that are hard to see by: of one pixel or one row, as narrow and as wide as there are, in a wall, from orbit."""
+"""Extreme views: of one pixel or one row, very narrow and very wide, inside a wall, from orbit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIDE_PX = {False: 96, True: 192}
 def looks(
     trial: Trial, views: dict[str, tuple[dict[str, Any], tuple[int, int] | None]], size_m: tuple[float, float] = (1400.0, 1400.0)
 ) -> dict[str, Seen]:
-    """What is seen of some views of a house on a floor, or by ``sweep`` of ridges, at their sizes or else in a square."""
+    """Draw views of a house on a floor, or by ``sweep`` of ridges, at their sizes or else in a square."""
     specs = {name: spec for name, (spec, _) in views.items()}
     if trial.algorithm == "sweep":
         ridges = {"generate": {"kind": "ridges", "size": size_m, "cell": 20, "relief": 350, "seed": 3}}
@@ -35,7 +35,7 @@ def looks(
 
 
 def figures(trial: Trial, seen: dict[str, Seen]) -> dict[str, float]:
-    """The worst of some views: interior errors, and pixels whose point or visibility is no number."""
+    """Return the worst figures of some views: interior errors, and pixels whose point or visibility is not a number."""
     trial.saw("interior", *(interior_sight(each) for each in seen.values()))
     for name, each in seen.items():
         assert each.buffer.valid.any(), name
@@ -62,7 +62,7 @@ def test_sizes_and_angles(trial: Trial) -> dict[str, float]:
         "low": (eye((12, 25, 0.1), (0, 3, 0.5)), None),
         "orbit": (eye((20, 30, 500_000), (2, 5, 0), fov=0.01), None),
     }
-    long = min(long, 4096)  # of what is drawn at a time: wider maps are drawn by the block
+    long = min(long, 4096)  # the largest size of one draw: wider maps are drawn by the block
     half_m = long / 4.0  # pixels of half a metre
     lines: dict[str, tuple[dict[str, Any], tuple[int, int] | None]] = {
         "map row": ({"kind": "map", "bounds": [-half_m, 6, half_m, 6.5]}, (long, 1)),
@@ -99,7 +99,7 @@ def test_places_of_the_eye(trial: Trial) -> dict[str, float]:
 
 
 def _distance_m(seen: Seen) -> np.ndarray:
-    """How far from the eye what is seen lies, metres (rows, cols); infinite where nothing is."""
+    """Return the distance of the visible surface from the eye, metres (rows, cols); infinite off the surface."""
     view = seen.view
     assert isinstance(view, PerspectiveView)
     away = np.linalg.norm(seen.buffer.position_frame_m - view.in_frame(seen.buffer.frame)[0], axis=-1)
@@ -126,7 +126,7 @@ def test_close_to_a_wall(trial: Trial) -> dict[str, float]:
 @pytest.mark.parametrize("algorithm", ["shadow_map", "shadow_volume", "hybrid", "planar"])
 @pytest.mark.parametrize("size", [(16384, 1), (1, 16384)])
 def test_a_line_of_pixels_is_drawn_by_the_block(gl, tmp_path, algorithm, size):
-    """The house lies in its middle, its shadow beside it."""
+    """The house lies in the line's middle, its shadow beside it."""
     trial = Trial(algorithm, True, tmp_path)
     half_m = [0.25 * count for count in size]
     sides_m = [2.0 * half + 60.0 for half in half_m]
@@ -146,7 +146,7 @@ REFUSED: dict[str, tuple[dict[str, Any], tuple[int, int], str]] = {
 
 @pytest.mark.parametrize("why", REFUSED)
 def test_what_cannot_be_seen_is_said(tmp_path, why):
-    """One line that names the key, the value and what is allowed."""
+    """One line names the key, the value and what is allowed."""
     spec, size, said = REFUSED[why]
     scene = Trial(ENGINE, False, tmp_path).scene(FLOOR, sun=(200, 35), views={"eye": spec})
     with pytest.raises(InputError, match=said) as caught:

@@ -1,4 +1,4 @@
-"""Volumes of shadow that the eye, the near plane and the stencil's eight bits are in the way of."""
+"""Shadow volumes and their failures: the eye inside, a clipped near plane, an overflow of the stencil's eight bits."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ LIGHTS: dict[str, dict[str, Any]] = {"sun": {"sun": (200, 35)}, "spot": {"lights
     {"pixels that differ": 0, "interior": 0},
 )
 def test_eye_in_a_volume(trial: Trial) -> dict[str, float]:
-    """The quick way leaves out three of the eyes, and the spot but for one."""
+    """The quick way leaves out three of the eyes, and draws one eye only under the spot."""
     differ, interior = 0, 0.0
     for light, keys in LIGHTS.items():
         eyes = list(EYES)[: None if trial.thorough else QUICK_EYES if light == "sun" else 1]
@@ -64,11 +64,13 @@ def test_eye_in_a_volume(trial: Trial) -> dict[str, float]:
 
 
 STEPS = ("0", "+1 ulp", "-1 ulp", -0.3, 1e-6, -1e-6, 1e-5, -1e-5, 1e-4, -1e-4, 1e-3, -1e-3)
-"""How far above the near-clip volume the caster begins, metres or float32 steps; 30 cm below, its volume cuts the near plane."""
+"""Distance of the caster's bottom above the near-clip volume, metres or float32 steps; 30 cm below, its volume cuts the near
+plane.
+"""
 
 
 def _moved(height_m: float, step: str | float) -> float:
-    """A height moved by a step."""
+    """Return a height moved by a step."""
     if isinstance(step, float):
         return height_m + step
     single = np.float32(height_m)
@@ -84,11 +86,13 @@ def _moved(height_m: float, step: str | float) -> float:
     {"pixels that differ": 0, "interior": 0},
 )
 def test_near_plane_touches_a_caster(trial: Trial) -> dict[str, float]:
-    """The eye looks level to the north, the sun stands behind it at 45 degrees: where the near plane's upper edge lies n before
-    and h above the eye, a beam whose southern lower edge lies at (y, z) casts through that edge if z - h = n - y.
+    """The eye looks level to the north, the sun stands behind it at 45 degrees.
+
+    The near plane's upper edge lies n before and h above the eye. A beam whose southern lower edge lies at (y, z) casts its shadow
+    through that edge if z - h = n - y.
     """
     view = {"eye": eye((0, -20, 4), (0, 0, 4), fov=50)}
-    wall = box((30, 1, 32), at_m=(0, 30))  # up to above the picture
+    wall = box((30, 1, 32), at_m=(0, 30))  # extends above the picture
     size = size_of(trial.thorough)
     plain = trial.scene(FLOOR, sun=(180, 45), meshes=[wall], name="plain", views=view)
     first = trial.see(plain, plain.view("eye", size=size))
@@ -116,11 +120,10 @@ def test_near_plane_touches_a_caster(trial: Trial) -> dict[str, float]:
     {"wrong or interior": 0},
 )
 def test_caster_without_end(trial: Trial) -> dict[str, float]:
-    """Every pixel of the floor that is decidable in closed form; of maps those that lie farther than two texels from the edge.
+    """Every pixel of the floor that is decidable in closed form counts; for maps those farther than two texels from the edge.
 
-    At half a degree a map's bias leaves a gap of metres beside the wall, which is the case H3's; maps are spared that sun.
-
-    Rays are no reference here: over 200 km of floor they start 10 cm above it, so that their shadow ends 11 cm too soon.
+    At half a degree a map's bias leaves a gap of metres beside the wall, which case H3 covers; maps skip that sun. Rays are no
+    reference here: over 200 km of floor they start 10 cm above it, so that their shadow ends 11 cm too soon.
     """
     world = {"flat": {"size": [200_000, 200_000], "cells": [20, 20]}}
     views = {"along": eye((-6, -40_000, 3), (-3, 0, 0)), "across": eye((-60, -39_000, 25), (40, -38_900, 0))}
@@ -150,8 +153,9 @@ COUNTS = (127, 128, 129, 255, 256, 257, 512)
     {"missed_shadow": 0, "false_shadow": 0},
 )
 def test_stacks_of_volumes(trial: Trial) -> dict[str, float]:
-    """The floor's point (x, y) is in shadow where |x| < 3 and |y - z / tan(60)| < 3 for a plate's height z. The case is about
-    counting: points within half a metre of the shadow's edge are left out, which no algorithm's texels reach.
+    """The floor's point (x, y) is in shadow where |x| < 3 and |y - z / tan(60)| < 3 for a plate's height z.
+
+    The case tests counting: points within half a metre of the shadow's edge are excluded, which no algorithm's texels reach.
     """
     views = {
         "beside": eye((9, 9, 1.2), (0, 0, 0.2)), "below": eye((0.3, 0.2, 0.3), (2, 3, 0.2), fov=100),

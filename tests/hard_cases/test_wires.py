@@ -1,4 +1,4 @@
-"""Casters thinner than a texel: a map may lie about them, a hybrid must not."""
+"""Casters thinner than a texel: a map may miss them, a hybrid must not."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ SLOPES = (0.0, 0.11, 0.25, 0.43, 0.6, 0.75, 0.9, 1.0)
 WIDTHS_TEXELS = (0.1, 0.25, 0.5, 0.75, 1.0, 2.0)
 
 SIDE_M, CELL_M, HIGH_M = 48.0, 12.0, 2.0
-"""The view's side; the side of a wire's own part of it; how high over the ground wires hang."""
+"""The view's side; the side of a wire's part of it; the height of the wires above the ground."""
 
 THIN_M = 0.01
 
 
 def wires(width_m: float) -> list[trimesh.Trimesh]:
-    """Eight wires of one width, each in a part of the view of its own, at eight slopes as the sun sees them.
+    """Return eight wires of one width, each in its own part of the view, at eight slopes as the sun sees them.
 
-    The sun sees distances to the north shortened by the sine of its altitude: turns on the ground are steeper, widths are across.
+    The sun sees distances to the north shortened by the sine of its altitude: angles on the ground are steeper, and widths are
+    measured across the wire.
     """
     sine = np.sin(np.radians(SUN[1]))
     out = []
@@ -40,7 +41,7 @@ def wires(width_m: float) -> list[trimesh.Trimesh]:
         row, col = divmod(number, 4)
         at = ((col - 1.5) * CELL_M, (row - 0.5) * CELL_M)
         turn = np.arctan2(slope / sine, 1.0)
-        # Across the wire, a metre on the ground is so many in the map.
+        # Map units per metre on the ground, across the wire.
         across = 1.0 / np.hypot(np.cos(turn) / sine, np.sin(turn)) if slope else sine
         out.append(block((0.75 * CELL_M, width_m / across, THIN_M), at, HIGH_M, float(np.degrees(turn))))
     return out
@@ -54,7 +55,7 @@ def over(scene: Scene, px: int) -> MapView:
 
 
 def truly_dark(seen: Seen, hulls: list[shapely.Polygon]) -> np.ndarray:
-    """Which pixels of the ground lie in the wires' shadow, by their centres, bool (rows, cols)."""
+    """Return which pixels of the ground lie in the wires' shadow, by their centres, bool (rows, cols)."""
     ground, out = seen.buffer.valid & (seen.buffer.kind == RELIEF), np.zeros(seen.dark.shape, bool)
     points = seen.buffer.position_frame_m[ground] @ seen.buffer.frame.frame_from_earth + seen.buffer.frame.origin_earth_m
     out[ground] = shaded(points[:, 0], points[:, 1], hulls)
@@ -62,7 +63,7 @@ def truly_dark(seen: Seen, hulls: list[shapely.Polygon]) -> np.ndarray:
 
 
 def beyond(seen: Seen, wrong: np.ndarray, hulls: list[shapely.Polygon], distance_m: float) -> np.ndarray:
-    """Those of some pixels whose centres lie farther than that from any outline, bool (rows, cols)."""
+    """Return those pixels of ``wrong`` whose centres lie farther than a distance from any outline, bool (rows, cols)."""
     out = wrong.copy()
     points = seen.buffer.position_frame_m[wrong] @ seen.buffer.frame.frame_from_earth + seen.buffer.frame.origin_earth_m
     outline = shapely.union_all(hulls).boundary
@@ -76,9 +77,9 @@ def beyond(seen: Seen, wrong: np.ndarray, hulls: list[shapely.Polygon], distance
     {"missed_shadow": 0.0, "false_shadow": 0.0, "pixels that differ": 0.0}, algorithms=("shadow_volume", "hybrid"),
 )  # fmt: skip
 def test_wires(trial: Trial) -> dict[str, float]:
-    """Truth are the wires' outlines at the pixels' centres, but for those within a step of the rasteriser's grid, 1/256 pixel.
+    """Truth is the wires' outlines at the pixels' centres, except within a step of the rasteriser's grid, 1/256 pixel.
 
-    The pixels that differ are those between both algorithms. The mask that is not conservative misses what is thin, or the case
+    The pixels that differ are those between both algorithms. The mask that is not conservative must miss thin wires, or the case
     would show nothing: more than half of a wire of a tenth of a texel.
     """
     px, texels = (512, 64) if trial.thorough else (256, 64)
@@ -86,7 +87,7 @@ def test_wires(trial: Trial) -> dict[str, float]:
     found = []
     for width in WIDTHS_TEXELS if trial.thorough else (0.1, 0.5, 2.0):
         bodies = wires(width * SIDE_M / (texels - 3))
-        anchor = block((0.02, 0.02, 0.02), (SIDE_M, SIDE_M))  # sets what hangs down to its height, out of the picture
+        anchor = block((0.02, 0.02, 0.02), (SIDE_M, SIDE_M))  # a body outside the picture that puts hanging bodies at their height
         scene = trial.scene(flat(), sun=SUN, meshes=[trimesh.util.concatenate([*bodies, anchor])])
         view, asked = over(scene, px), {"map_size": texels, "fit": "tight"}
         seen = trial.see(scene, view, **asked)

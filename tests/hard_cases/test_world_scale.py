@@ -1,4 +1,4 @@
-"""Far from the origin of coordinates, and under suns along the axes: nothing changes, nothing degenerates."""
+"""Far from the origin of coordinates, and under suns along the axes, pictures stay the same and nothing degenerates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.hard_cases.sites import differing, site, views_of
 
 
 def _differing_at(trial: Trial, offsets: list[tuple[float, float]]) -> float:
-    """The largest share of pixels by which a site far away differs from the one at the origin."""
+    """Return the largest share of pixels by which a distant site differs from the one at the origin."""
     px = 256 if trial.thorough else 96
     home, worst = site(trial), 0.0
     seen = [trial.see(home, view, map_size=2048 if trial.thorough else 512) for view in views_of(trial, home, px)]
@@ -31,7 +31,7 @@ def _differing_at(trial: Trial, offsets: list[tuple[float, float]]) -> float:
     {"pixels that differ": 0.0},
 )
 def test_a_site_may_lie_anywhere(trial: Trial) -> dict[str, float]:
-    """Offsets that doubles hold exactly: frames, texels and nodes are counted from the anchor, so not a bit may differ."""
+    """Doubles hold these offsets exactly: frames, texels and nodes count from the anchor, so pictures are identical to the bit."""
     offsets = [(5e5, 6.65e6), (6.378e6, -5e5), (5e5, 5e5), (-6.65e6, 6.378e6)]
     return {"pixels that differ": _differing_at(trial, offsets if trial.thorough else offsets[:1])}
 
@@ -54,13 +54,12 @@ def test_a_site_may_lie_at_odd_digits(trial: Trial) -> dict[str, float]:
     {"basis": 1e-12, "pixels that differ": 1e-4},
 )
 def test_suns_along_the_axes(trial: Trial) -> dict[str, float]:
-    """``basis`` is the largest element of R R^T - 1 of the light's axes, for suns on the horizon and below the feet too.
+    """``basis`` is the largest element of R R^T - 1 of the light's axes, for suns on the horizon and at the nadir, too.
 
-    A pixel differs where the sunlight on it does, by a step of a picture's 255: walls under the zenith turn from attached shadow
-    to light within a millionth of a degree, as they should, but what light that is cannot be seen.
-
-    At the zenith an azimuth says nothing of the sun, but texels and lines are laid along it, and between two spellings of that one
-    sun they lie otherwise. So each is held against suns beside it of its own azimuth.
+    A pixel differs if its sunlight does, by one of a picture's 255 steps. Walls under the zenith turn from attached shadow to light
+    within a millionth of a degree, as they should, but that light is invisible. At the zenith the azimuth does not change the sun's
+    direction, but texels and lines follow it. Two spellings of that one sun therefore have different grids. So each is compared
+    with suns near the zenith at its own azimuth.
     """
     scene, basis = site(trial), 0.0
     for azimuth in (0.0, 90.0, 180.0, 270.0, 360.0):
@@ -86,8 +85,9 @@ def _seen_under(trial: Trial, scene: Scene, view: View, azimuth: float, altitude
 
 
 def _other_sunlight(one: Seen, other: Seen) -> np.ndarray:
-    """Where the sunlight on two pictures' points differs visibly: visibility times the cosine of incidence, on the facet that faces
-    the sun most.
+    """Return where the sunlight on two pictures' points differs visibly.
+
+    Sunlight is visibility times the cosine of incidence, on the facet that faces the sun most.
     """
     lights = []
     for seen in (one, other):

@@ -1,4 +1,4 @@
-"""Zooming out: a coarse map has as much shadow as the data's own zoom."""
+"""Zooming out: a coarse map has as much shadow as the data's native zoom."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import SHADOWING, Trial, hard_case
 
 PIXEL_M = 64.0
-"""About a cell of the bundled mountains, and a power of two: pixels of squares round the anchor then lie on nodes, as a tile's."""
+"""About a cell of the bundled mountains, and a power of two: pixels of squares round the anchor then lie on nodes, as a tile's do.
+"""
 
 
 def share_of_shadow(trial: Trial, scene: Scene, side_px: int, zooms_below: int) -> float:
-    """The mean shadow of a square round the level's anchor whose pixels of ``PIXEL_M`` are ``side_px`` a side, drawn in pixels
-    that are 2**zooms_below times as large.
+    """Return the mean shadow of a square round the level's anchor, ``side_px`` pixels of ``PIXEL_M`` a side.
+
+    The square is drawn in pixels that are 2**zooms_below times as large.
     """
     x, y = (float(value) for value in scene.world.map_position(scene.map_crs, scene.world.anchor_earth_m)[:2])
     half, pixels = side_px * PIXEL_M / 2, side_px // 2**zooms_below
     view = scene.view(bounds=(x - half, y - half, x + half, y + half), size=(pixels, pixels))
     assert isinstance(view, MapView) and view.on_nodes
     plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": trial.algorithm})
-    # A block of the view's own size: without the rest of the blocks that tiles are cut from.
+    # A block of the view's own size, without the rest of the blocks that tiles are cut from.
     block = render.render_block(scene, view, plan, PassLog(), "means")
     return 1.0 - float(np.nanmean(block.visibility))
 

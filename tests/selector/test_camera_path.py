@@ -1,5 +1,6 @@
-"""A camera glides over open ground, dives into a wood and glides there until the sun is down: how often plans switch on its way,
-and what is seen of it.
+"""Replanning along a camera path: number of plan switches and visible change.
+
+The camera glides over open ground, dives into a wood and glides there until the sun is down.
 """
 
 from __future__ import annotations
@@ -33,20 +34,20 @@ from skugga.terrain.level.level import SUN, Level, Pin, SunSpec, load_level
 from skugga.terrain.scene import Scene, build_scene
 
 Place = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Where a camera stands, and what it looks at: metres east, north and above the ground."""
+"""Camera position and target: metres east, north and above the ground."""
 
 ROWS, COLS, FOV_DEG = 192, 256, 50.0
 OFF, NEARER = ((-150.0, -120.0, 45.0), (-330.0, -290.0, 0.0)), ((-130.0, -110.0, 45.0), (-310.0, -280.0, 0.0))
-"""The ends of the first glide: houses are seen, and the wood lies behind the camera."""
+"""Ends of the first glide: houses are visible, and the wood lies behind the camera."""
 
 UNDER, FARTHER = ((190.0, 180.0, 14.0), (270.0, 280.0, 2.0)), ((205.0, 200.0, 13.0), (285.0, 300.0, 2.0))
-"""The ends of the second one, among trees."""
+"""Ends of the second glide, among trees."""
 
 ACROSS = ((-160.0, -150.0, 60.0), (100.0, 100.0, 0.0))
-"""Houses, and beyond them the wood."""
+"""Houses, and the wood beyond them."""
 
 GLIDE, DIVE, SEEN = 20, 12, 8
-"""Frames of a glide, of the dive, and of a switch that are drawn."""
+"""Frames of a glide, frames of the dive, and drawn frames of a switch."""
 
 RATES_NS = {
     "shadow_map, perspective": {
@@ -69,7 +70,7 @@ RATES_NS = {
     "planar": {"blocks": 2.2e6, "pixels": 9.6, "triangles": 183.0},
     "sweep, perspective": {"blocks": 53.0e6, "nodes": 9.4, "steps": 2.4, "answers": 113.0},
 }  # fmt: skip
-"""Of a device that draws by its processor: each algorithm is the cheapest somewhere."""
+"""Rates of a device that renders on the CPU: each algorithm is the cheapest somewhere."""
 
 predicted = partial(
     select,
@@ -83,7 +84,7 @@ predicted = partial(
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What a frame shows."""
+    """The content of a frame."""
 
     scene: Scene
     view: PerspectiveView
@@ -92,7 +93,7 @@ class Moment:
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory) -> Scene:
-    """Hills with forty houses in the south-west and a wood in the north-east."""
+    """Return hills with forty houses in the south-west and a wood in the north-east."""
     folder = tmp_path_factory.mktemp("camera_path")
     trimesh.creation.box((14.0, 10.0, 9.0)).export(folder / "house.ply")
     number = np.arange(40)
@@ -130,7 +131,7 @@ def between(start: Place, end: Place, frames: int) -> list[Place]:
 
 @pytest.fixture(scope="module")
 def flight(scene) -> Callable[[float, float], list[Moment]]:
-    """``flight(azimuth, altitude)`` is the whole path under a sun, which is down in the last frames."""
+    """Return ``flight(azimuth, altitude)``, the whole path under a sun that is down in the last frames."""
 
     def under(azimuth: float, altitude: float) -> list[Moment]:
         day, night = (scene.with_sun(SunSpec(azimuth=azimuth, altitude=each)) for each in (altitude, -1.0))
@@ -144,7 +145,7 @@ Chosen = dict[tuple[str, str], tuple[str, int | None, int | None]]
 
 
 def chosen(plan: Plan) -> Chosen:
-    """Algorithm, map size and number of cascades by light and kind of casters, of those that cast."""
+    """Return algorithm, map size and number of cascades by light and caster kind, of the kinds that cast."""
     found: Chosen = {}
     for light, per_kind in plan.algorithm.items():
         for kind, name in per_kind.items():
@@ -157,12 +158,12 @@ def chosen(plan: Plan) -> Chosen:
 
 
 def changes(plans: list[Plan]) -> list[int]:
-    """Real changes before each frame: another set of casters."""
+    """Return the cumulative count of real changes before each frame: changes of the set of casters."""
     return np.cumsum([0, *(casting(one) != casting(other) for one, other in pairwise(plans))]).tolist()
 
 
 def switches(plans: list[Plan]) -> list[int]:
-    """Switches before each frame: what casts in it and cast in the one before does so by other means."""
+    """Return the cumulative count of switches before each frame: a caster of both frames changes its algorithm or settings."""
     seen = [chosen(plan) for plan in plans]
     return np.cumsum([0, *(any(a[key] != b[key] for key in a.keys() & b.keys()) for a, b in pairwise(seen))]).tolist()
 
@@ -170,8 +171,8 @@ def switches(plans: list[Plan]) -> list[int]:
 @pytest.mark.parametrize(
     "sun", [(200.0, 35.0), *(pytest.param(sun, marks=pytest.mark.long) for sun in [(200.0, 25.0), (290.0, 15.0)])]
 )
-def test_no_more_switches_than_real_changes(flight, level, sun):
-    """At no time of the flight; a plan made anew for each frame goes to and fro."""
+def test_replanner_switches_no_more_often_than_casters_change(flight, level, sun):
+    """The bound holds at every frame of the flight. Plans made anew for each frame switch back and forth."""
     moments = flight(*sun)
     director = Replanner(plans=predicted)
     plans = [director.plan(each.descriptor, level) for each in moments]
@@ -184,13 +185,13 @@ def test_no_more_switches_than_real_changes(flight, level, sun):
 
 
 def changed(before: np.ndarray, after: np.ndarray) -> float:
-    """Share of the surface's pixels whose class changes."""
+    """Return the share of the surface's pixels whose class changes."""
     valid = ~np.isnan(after)
     return float(((before < 0.5) != (after < 0.5))[valid].mean())
 
 
-def test_of_a_switch_in_flight_little_is_seen(gl, flight, level):
-    """In the first frames of one: against the mixture of the frame before, drawn from where the camera is now."""
+def test_replanner_switch_in_flight_changes_few_pixels(gl, flight, level):
+    """The first frames of a switch are compared with the previous frame's mixture, drawn from the present camera."""
     director, share, steps, differing = Replanner(plans=predicted), 0.0, [], []
     for each in flight(200.0, 35.0):
         plan = director.plan(each.descriptor, level)
@@ -203,14 +204,14 @@ def test_of_a_switch_in_flight_little_is_seen(gl, flight, level):
         assert share > before
         steps.append(changed(*(mix_pictures(old.visibility, new.visibility, shown) for shown in (before, share))))
         differing.append(changed(old.visibility, new.visibility))
-    assert len(steps) == SEEN and max(differing) > 3.0 * MAX_CHANGED  # else nothing would be tested
+    assert len(steps) == SEEN and max(differing) > 3.0 * MAX_CHANGED  # otherwise the test would be vacuous
     assert max(steps) <= MAX_CHANGED
 
 
 @settings(max_examples=20)
 @given(st.integers(1, 50), st.integers(1, 50), st.integers(0, 2**32 - 1))
-def test_a_switch_ends_and_changes_few_pixels_a_frame_whatever_it_is_between(rows, cols, seed):
-    """Noise under two lights, half of it without a surface."""
+def test_next_share_ends_and_changes_few_pixels_a_frame(rows, cols, seed):
+    """The pictures are noise under two lights, half of it without a surface."""
     rng = np.random.default_rng(seed)
     valid = rng.random((rows, cols)) < 0.5
     before, after = ({light: np.where(valid, rng.random((rows, cols)), np.nan) for light in (SUN, "lamp")} for _ in range(2))
@@ -224,7 +225,7 @@ def test_a_switch_ends_and_changes_few_pixels_a_frame_whatever_it_is_between(row
 
 
 def choice(algorithms: str, **settings: int) -> Choice:
-    """Algorithms of relief, meshes and foliage."""
+    """Return a choice of algorithms for relief, meshes and foliage."""
     return Choice(algorithms, dict(zip(("relief", "meshes", "forest"), algorithms.split(), strict=True)), settings)
 
 
@@ -235,8 +236,9 @@ EXACT = choice("sweep shadow_volume shadow_map", map_size=4096)
 
 
 class Turning:
-    """A policy that takes one of some picks, which a test turns to another one. It takes ``min_ms``, others ``other_ms``, and all
-    are expected to be right.
+    """A policy that always takes one of its choices, and that a test switches to another.
+
+    The current choice is predicted to take ``min_ms``, others ``other_ms``, and all to be without error.
     """
 
     def __init__(self, *choices: Choice, min_ms: float = 1.0, other_ms: float = 10.0) -> None:
@@ -252,8 +254,11 @@ class Turning:
 
 @pytest.mark.parametrize("place", [OFF, UNDER], ids=["in the open", "in the wood"])
 @pytest.mark.parametrize("pair", [(COARSE, CASCADES), (PERSPECTIVE, EXACT), (CASCADES, COARSE)])
-def test_a_switch_before_a_camera_that_stands_changes_few_pixels_a_frame(gl, scene, level, place, pair):
-    """Whatever was expected of the two plans; it takes as many frames as that makes, and at its end all is the new plan's."""
+def test_replanner_switch_at_rest_changes_few_pixels_a_frame(gl, scene, level, place, pair):
+    """The bound holds whatever errors were predicted.
+
+    The number of frames follows from it, and the last frame is the new plan's.
+    """
     at, policy = moment(scene, place), Turning(*pair)
     director, pictures = Replanner(plans=policy), {}
 
@@ -280,8 +285,8 @@ def test_a_switch_before_a_camera_that_stands_changes_few_pixels_a_frame(gl, sce
     assert director.transition is None and len(pictures) == 2
 
 
-def test_new_casters_are_drawn_at_once_and_what_cast_before_is_handed_over(gl, scene, level):
-    """When foliage comes into play beside houses, and all goes by another algorithm: leaves cast under both plans."""
+def test_replanner_draws_new_casters_at_once_and_mixes_the_rest(gl, scene, level):
+    """Foliage comes into view beside houses, and all kinds change their algorithm. Leaves cast under both plans."""
     inside, policy = moment(scene, ACROSS), Turning(COARSE, PERSPECTIVE)
     director = Replanner(plans=policy)
     outside = director.plan(moment(scene, OFF).descriptor, level)
@@ -296,8 +301,8 @@ def test_new_casters_are_drawn_at_once_and_what_cast_before_is_handed_over(gl, s
     assert changed(old.visibility, new.visibility) > MAX_CHANGED
 
 
-def test_casters_that_come_back_are_no_news(scene, level):
-    """Foliage that was picked for, left out of view and back: what is no better is not taken."""
+def test_replanner_keeps_the_choice_of_returning_casters(scene, level):
+    """Foliage was chosen for, left the view and returns. An equal alternative does not replace its choice."""
     off, across, policy = moment(scene, OFF), moment(scene, ACROSS), Turning(COARSE, PERSPECTIVE, min_ms=1.0, other_ms=1.0)
     director = Replanner(plans=policy)
     plans = [director.plan(off.descriptor, level), director.plan(across.descriptor, level)]
@@ -308,8 +313,9 @@ def test_casters_that_come_back_are_no_news(scene, level):
 
 
 def crossings(descriptor: Descriptor, level: Level, swing: float, frames: int, runs: int) -> int:
-    """Switches of a camera that crosses a tie of two plans again and again: for some frames in a row the one takes less time by a
-    share than the other, then the other way round.
+    """Return the switches of a camera that crosses a tie of two plans again and again.
+
+    For ``frames`` frames one plan takes less time by the share ``swing``, then the other one does.
     """
     policy, plans = Turning(COARSE, CASCADES, min_ms=1.0 - swing, other_ms=1.0), []
     director = Replanner(plans=policy)
@@ -319,23 +325,23 @@ def crossings(descriptor: Descriptor, level: Level, swing: float, frames: int, r
     return switches(plans)[-1]
 
 
-def test_a_camera_at_a_tie_switches_only_without_hysteresis(scene, level, monkeypatch):
+def test_replanner_at_a_tie_switches_only_without_hysteresis(scene, level, monkeypatch):
     descriptor = moment(scene, UNDER).descriptor
     crossed = partial(crossings, descriptor, level, swing=0.1, frames=2 * PATIENCE, runs=6)
     assert crossed() == 0
     monkeypatch.setattr(replanning, "PATIENCE", 1)
-    assert crossed() == 0  # the margin alone keeps it
+    assert crossed() == 0  # the margin alone prevents a switch
     monkeypatch.setattr(replanning, "SWITCH_TIME_GAIN", 0.0)
     assert crossed() >= 3
 
 
-def test_each_further_switch_takes_more_patience(scene, level):
-    """What is expected swings by half, longer than is waited for at first and the second time, and not the third time."""
+def test_replanner_needs_more_patience_for_each_switch(scene, level):
+    """The prediction swings by half for 3 x ``PATIENCE`` frames: longer than the first and second wait, shorter than the third."""
     assert crossings(moment(scene, UNDER).descriptor, level, swing=0.5, frames=3 * PATIENCE, runs=10) == 2
 
 
 def day(scene: Scene, place: Place) -> list[Moment]:
-    """A view at rest from before sunrise to after sunset, every five minutes of thirteen hours."""
+    """Return a view at rest from before sunrise to after sunset, every five minutes of thirteen hours."""
     moments, hours = [], np.arange(-0.5, 12.5 + 1e-9, 5.0 / 60.0)
     for hour in hours.tolist():
         sun = SunSpec(azimuth=90.0 + 15.0 * hour, altitude=float(np.degrees(np.arcsin(0.77 * np.sin(np.pi * hour / 12.0)))))
@@ -344,8 +350,8 @@ def day(scene: Scene, place: Place) -> list[Moment]:
 
 
 @pytest.mark.parametrize("place", [ACROSS, pytest.param(UNDER, marks=pytest.mark.long)], ids=["houses and wood", "in the wood"])
-def test_a_view_at_rest_keeps_its_plan_through_a_day(scene, level, place):
-    """However often another plan would be a little better: at most two switches more than what casts changes."""
+def test_replanner_at_rest_keeps_its_plan_through_a_day(scene, level, place):
+    """Other plans are often slightly better. At most two switches are added to the changes of casters."""
     moments, director = day(scene, place), Replanner(plans=predicted)
     plans = [director.plan(each.descriptor, level) for each in moments]
     anew = [predicted(each.descriptor, level) for each in moments]
@@ -355,8 +361,8 @@ def test_a_view_at_rest_keeps_its_plan_through_a_day(scene, level, place):
     assert switches(anew)[-1] > switches(plans)[-1], "else nothing is tested"
 
 
-def test_with_pins_the_switch_is_where_they_say(scene, level):
-    """In the plan of the first sun beyond the border, and nowhere else, without a mixture."""
+def test_replanner_with_pins_switches_at_their_border(scene, level):
+    """The plan switches at the first sun beyond the border and nowhere else, without a mixture."""
     low = Pin(sun_altitude_deg=(0.0, 20.0), algorithm={"relief": "sweep", "meshes": "hybrid", "forest": "shadow_map"}, map_size=512)
     high = Pin(sun_altitude_deg=(20.0, 90.0), algorithm="shadow_map", map_size=1024, cascades=1)
     pinned = level.model_copy(update={"shadows": level.shadows.model_copy(update={"pins": (low, high)})})

@@ -1,4 +1,4 @@
-"""Every algorithm for every light, kind of casters, view and ground: it renders, or it is refused with the registry's sentence."""
+"""Capabilities: each algorithm renders or is refused with the registry's reason, for every light, caster kind, view and ground."""
 
 from __future__ import annotations
 
@@ -40,25 +40,26 @@ LIGHTS: tuple[LightKind, ...] = get_args(LightKind)
 VIEWS: tuple[ViewKind, ...] = get_args(ViewKind)
 GROUNDS: tuple[GroundKind, ...] = get_args(GroundKind)
 EVERY = [each for each in product(ALGORITHMS, LIGHTS, CASTERS, VIEWS, GROUNDS) if each[3:] != ("bent map", "level")]
-"""All that can be asked for: level ground is of a flat world, whose maps never bend."""
+"""All valid combinations: level ground belongs to a flat world, whose maps never bend."""
 
 TERRAIN = {
     "level": {"flat": {"size": [60, 60], "cells": [30, 30]}},
     "uneven": {"generate": {"kind": "landscape", "size": [60, 60], "cell": 2, "relief": 6, "seed": 3}},
-    "earth": {"source": "jacksboro", "resolution": 2500},  # else pixels of 2.5 km are cut into pieces, and these do not bend
+    "earth": {"source": "jacksboro", "resolution": 2500},  # otherwise pixels of 2.5 km are subdivided, and the parts do not bend
 }
 SPOT = {"kind": "spot", "position": [-14, -10, 22], "target": [0, 0, 0], "cutoff": 45}
 OMNI = {"kind": "omni", "position": [5, -8, 16]}
-FORCED = {"cast_shadows": "on"}  # on level ground with nothing on it nothing casts
+FORCED = {"cast_shadows": "on"}  # on empty level ground nothing casts
 EYE = {"kind": "perspective", "eye": [-25, -30, 14], "target": [2, 2, 2], "fov": 45, "size": [48, 36]}
 PLACE = [-84.25, 36.3133]
-"""Where things stand on the earth, degrees."""
+"""Position of the objects on the earth, degrees."""
 
 
 @pytest.fixture(scope="module")
 def level_file(tmp_path_factory):
-    """``level_file(ground)`` is the path of a level with trees, a figure, a sun, a spot and an omni light; ``earth`` is a ground on
-    the round one.
+    """Return ``level_file(ground)``, the path of a level with trees, a figure, a sun, a spot and an omni light.
+
+    ``earth`` is a ground on the round earth.
     """
     folder: Path = tmp_path_factory.mktemp("capabilities")
     for name, places, crs in (("trees", ((-8, 6), (9, -4), (12, 10)), ENGINEERING), ("pines", (PLACE,), "EPSG:4326")):
@@ -71,7 +72,7 @@ def level_file(tmp_path_factory):
             keys = {
                 "lights": {"spot": {**SPOT, **up, "target": [*PLACE, 0]}, "omni": {**OMNI, **up}}, "views": {},
                 "meshes": [{"generate": "tetrahedra", "at": PLACE}], "forest": [{"source": "pines.gpkg", "height": [20, 30]}],
-                "effects": {"alpha_test": "on"},  # trees that are too small to be drawn
+                "effects": {"alpha_test": "on"},  # the trees are too small to be drawn
                 **keys,
             }  # fmt: skip
         level = {
@@ -89,13 +90,13 @@ def level_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def scene_on(level_file):
-    """``scene_on(ground)`` is that level's scene."""
+    """Return ``scene_on(ground)``, the scene of that level."""
     return lru_cache(maxsize=3)(lambda ground: build_scene(load_level(level_file(ground))))
 
 
 @pytest.fixture(scope="module")
 def seen(scene_on):
-    """``seen(kind, ground)`` is a scene and a view of it."""
+    """Return ``seen(kind, ground)``, a scene and a view of it."""
 
     def scene_and_view(kind: ViewKind, ground: GroundKind) -> tuple[Scene, MapView | PerspectiveView]:
         scene = scene_on("earth" if kind == "bent map" else ground)
@@ -105,19 +106,19 @@ def seen(scene_on):
 
 
 def parts_of(light: LightKind, caster: CasterKind, kind: ViewKind, ground: GroundKind) -> tuple[Requirement, ...]:
-    """What an algorithm is asked to serve: a bent map is a map too."""
+    """Return the requirements of a combination. A bent map is also a map."""
     return (*(("map",) if kind == "bent map" else ()), kind, light, caster, ground)
 
 
 def only(name: AlgorithmName, light: LightKind, caster: CasterKind) -> dict:
-    """An override that asks for one algorithm, for one light and one kind of casters; nothing else casts."""
+    """Return an override with one algorithm for one light and one caster kind. Nothing else casts."""
     choice = {each: {kind: "none" for kind in CASTERS} for each in LIGHTS}
     choice[light][caster] = name
     return choice
 
 
 @pytest.mark.parametrize(("name", "light", "caster", "kind", "ground"), EVERY)
-def test_it_renders_or_says_why_not(gl, seen, name, light, caster, kind, ground):
+def test_algorithm_renders_or_gives_its_refusal(gl, seen, name, light, caster, kind, ground):
     (scene, view), algorithm = seen(kind, ground), ALGORITHMS[name]
     why = algorithm.refusal(parts_of(light, caster, kind, ground))
     if why is None:
@@ -137,7 +138,7 @@ def test_it_renders_or_says_why_not(gl, seen, name, light, caster, kind, ground)
         assert "\n" not in said and name not in said.split("algorithms that can: ")[1]
 
 
-def test_every_refusal_is_of_something_that_can_be_asked_for():
+def test_registry_refuses_only_known_requirements():
     known = {*CASTERS, *LIGHTS, *VIEWS, *GROUNDS, *get_args(RayKind), *get_args(ExtentKind)}
     for algorithm in ALGORITHMS.values():
         assert set(algorithm.refuses) <= known
@@ -145,13 +146,13 @@ def test_every_refusal_is_of_something_that_can_be_asked_for():
         assert all(set(kinds) - set(algorithm.refuses) for kinds in (CASTERS, LIGHTS, VIEWS, GROUNDS)), "serves nothing at all"
 
 
-def test_whatever_is_asked_for_something_serves_it():
+def test_registry_serves_every_combination():
     for light, caster, kind, ground in product(LIGHTS, CASTERS, VIEWS, GROUNDS):
         serve = algorithms_serving(parts_of(light, caster, kind, ground))
         assert "shadow_map" in serve and not {"truth", "none"} & set(serve)
 
 
-def test_what_fills_is_what_has_passes():
+def test_registry_lists_passes_of_every_fill():
     assert all((algorithm.fill is not None) == bool(algorithm.passes) for algorithm in ALGORITHMS.values())
 
 
@@ -166,22 +167,22 @@ def test_what_fills_is_what_has_passes():
         ("sweep", {"spot": "azimuth", "omni": "azimuth", "meshes": "one height per position", "forest": "heightfield"}),
     ],
 )
-def test_refusals_are_these(name, refused):
+def test_registry_refusals(name, refused):
     for light, caster, kind, ground in product(LIGHTS, CASTERS, VIEWS, GROUNDS):
         why = ALGORITHMS[name].refusal(parts_of(light, caster, kind, ground))
         words = [refused[part] for part in (light, caster, kind, ground) if part in refused]
         assert why is None if not words else any(word in why for word in words)
 
 
-def test_an_algorithm_that_the_level_asks_for_is_refused_by_the_level_s_key(level_file):
+def test_plan_refuses_the_levels_algorithm_by_its_key(level_file):
     scene = build_scene(load_level(level_file("uneven", shadows={"algorithm": "planar"})))
     with pytest.raises(UnsupportedError, match=r"^shadows.algorithm: 'planar for relief under sun'"):
         make_plan(describe(scene, scene.view("map")), scene.loaded.level)
 
 
 @pytest.mark.parametrize("asked", ["level", "request"])
-def test_a_sweep_falls_back_to_maps_where_rays_bend_and_says_so(gl, write_raster, make_scene, asked):
-    """A level that asks for a sweep has all zooms, and the widest of them are no error."""
+def test_plan_replaces_a_sweep_by_maps_where_rays_bend(gl, write_raster, make_scene, asked):
+    """A level that requests a sweep serves all zooms, and its widest zooms are no error."""
     row, col = np.mgrid[:100, :100]
     raster = write_raster((900.0 * np.sin(row / 3.0) * np.cos(col / 4.0) + 900.0).astype(np.float32), "EPSG:4326", 8.0, 48.0, 0.03)
     scene = make_scene(raster, 120.0, 4.0, **({"shadows": {"algorithm": {"relief": "sweep"}}} if asked == "level" else {}))
@@ -199,26 +200,26 @@ def test_a_sweep_falls_back_to_maps_where_rays_bend_and_says_so(gl, write_raster
         assert rejected.get("sweep") == (bends if name == "shadow_map" else None)
 
 
-def test_what_a_sweep_refuses_is_an_error_however_wide_the_view_is(level_file):
+def test_plan_refuses_a_sweep_of_meshes_in_wide_views_too(level_file):
     wide = build_scene(load_level(level_file("earth")))
     with pytest.raises(UnsupportedError, match="meshes are not a heightfield"):
         plan_of(wide, wide.view("map", size=(12, 12)), algorithm="sweep")
 
 
-def test_a_light_as_an_area_is_refused_by_who_has_hard_edges_only():
+def test_registry_refuses_area_lights_with_hard_edges_only():
     refused = {name for name, algorithm in ALGORITHMS.items() if algorithm.refusal(("area light",))}
     assert refused == {"hybrid", "planar"}
 
 
-def test_what_was_not_taken_says_why_it_could_not_be(scene_on):
+def test_plan_gives_the_refusal_of_rejected_algorithms(scene_on):
     for ground, words in (("uneven", "the ground is not flat"), ("level", "was preferred")):
         plan = plan_of(scene_on(ground), scene_on(ground).view("map"))
         (reason,) = [item.reason for item in plan.rejected if item.name == "planar"]
         assert words in reason
 
 
-def test_a_level_raster_on_the_round_earth_is_no_plane(write_raster, make_scene):
-    """The ground bends with the earth: planar is for flat worlds, where a raster of one height will do."""
+def test_plan_refuses_planar_on_the_round_earth(write_raster, make_scene):
+    """Level ground bends with the earth. Planar needs a flat world, where a raster of constant height is a plane."""
     heights = np.full((64, 64), 12.0, np.float32)
     flat = make_scene(write_raster(heights, ENGINEERING, 0, 64, 1.0, name="flat.tif"), effects=FORCED)
     assert plan_of(flat, flat.view(), algorithm="planar").headline == "planar"
@@ -227,15 +228,15 @@ def test_a_level_raster_on_the_round_earth_is_no_plane(write_raster, make_scene)
         plan_of(bent, bent.view(), algorithm="planar")
 
 
-def test_a_comparison_leaves_out_what_cannot_be(scene_on):
+def test_candidates_leave_out_unsupported_algorithms(scene_on):
     for ground, is_served in (("level", True), ("uneven", False)):
         scene = scene_on(ground)
         names = {plan.headline for plan in candidates(scene, scene.view("map"))}
         assert ("planar" in names) is is_served and {"shadow_map", "none"} <= names
 
 
-def test_a_comparison_takes_an_algorithm_as_far_as_it_serves(scene_on):
-    """Trees and omni lights are left to shadow maps by what cannot serve them; each setting is a plan of its own."""
+def test_candidates_use_maps_for_what_an_algorithm_refuses(scene_on):
+    """Trees and omni lights fall back to shadow maps. Each setting is a separate plan."""
     scene = scene_on("uneven")
     plans = candidates(scene, scene.view("perspective"), "perspective")
     assert len({plan.model_dump_json() for plan in plans}) == len(plans) <= MAX_CANDIDATES
@@ -250,7 +251,7 @@ def test_a_comparison_takes_an_algorithm_as_far_as_it_serves(scene_on):
     assert {plan.settings["sun"]["meshes"].map_size for plan in whole} == {512, 1024, 2048}
 
 
-def test_kinds_of_casters_are_mixed_as_far_as_each_is_served(scene_on):
+def test_candidates_mix_algorithms_per_caster_kind(scene_on):
     scene = scene_on("uneven")
     mixes = {tuple(plan.algorithm["sun"].values()) for plan in candidates(scene, scene.view("perspective"), "perspective")}
     assert {
@@ -259,7 +260,7 @@ def test_kinds_of_casters_are_mixed_as_far_as_each_is_served(scene_on):
     } <= mixes  # fmt: skip
 
 
-def test_a_filter_that_plays_no_part_is_named(scene_on):
+def test_plan_names_a_filter_without_effect(scene_on):
     scene = scene_on("level")
     view = scene.view("map")
     for name, (filter, named) in product(("planar", "shadow_volume", "hybrid"), ((3, True), (1, False))):
@@ -272,11 +273,14 @@ def test_a_filter_that_plays_no_part_is_named(scene_on):
     assert not any("hard edges" in reason.reason for reason in sweep.reasons)
 
 
-# -- volumes where trees stand, and where maps bend
+# -- volumes beside trees and in bent maps
 
 
-def test_volumes_for_what_they_serve_beside_maps_for_trees(gl, scene_on):
-    """For everything: the reason and what can. For relief and meshes, with a map for the trees: drawn, each for its own."""
+def test_plan_mixes_volumes_with_maps_for_trees(gl, scene_on):
+    """Volumes for all kinds are refused with the reason and alternatives.
+
+    Volumes for relief and meshes with a map for trees render.
+    """
     scene = scene_on("uneven")
     view = scene.view("perspective")
     for name in ("shadow_volume", "hybrid"):
@@ -296,7 +300,7 @@ def test_volumes_for_what_they_serve_beside_maps_for_trees(gl, scene_on):
     assert both > max(each) > min(each) > 0
 
 
-def test_a_map_of_a_small_scale_bends_too_much_for_volumes(gl, tmp_path):
+def test_plan_refuses_volumes_in_maps_of_small_scale(gl, tmp_path):
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     rough = Path("configs/jacksboro.yaml").read_text(encoding="utf-8").replace("jacksboro\n", "jacksboro\n  resolution: 600\n", 1)
     (tmp_path / "rough.yaml").write_text(rough, encoding="utf-8")
@@ -304,14 +308,14 @@ def test_a_map_of_a_small_scale_bends_too_much_for_volumes(gl, tmp_path):
     for name in ("shadow_volume", "hybrid"):
         with pytest.raises(UnsupportedError, match=r"no affine camera fits.*; algorithms that can: shadow_map, sweep\.$"):
             plan_of(rough_scene, block_at(-84.25, 36.32, 8), algorithm=name)
-        assert plan_of(scene, block_at(-84.25, 36.32, 8), algorithm=name).headline == name  # its pixels' pieces do not bend
+        assert plan_of(scene, block_at(-84.25, 36.32, 8), algorithm=name).headline == name  # the subdivided pixels do not bend
         block = block_at(-84.25, 36.32, 12)
         view = replace(block, row0=block.row0 + 516, col0=block.col0 + 500, rows=96, cols=96)
         frame = render_frame(scene, view, plan_of(scene, view, algorithm=name))
         assert frame.plan.headline == name and 0.02 < (frame.visibility[frame.valid] < 0.5).mean() < 0.98
 
 
-# -- what users see
+# -- user interfaces
 
 
 REFUSED = [
@@ -322,7 +326,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("name", "ground", "sentence"), REFUSED)
-def test_the_command_line_says_it_in_one_line(level_file, monkeypatch, capsys, tmp_path, name, ground, sentence):
+def test_cli_reports_a_refusal_in_one_line(level_file, monkeypatch, capsys, tmp_path, name, ground, sentence):
     path = level_file(ground)
     spelling = f"relief=none,meshes=none,forest={name}"
     arguments = ["skugga", "render", str(path), "--algorithm", spelling, "-o", str(tmp_path / "x.png")]
@@ -339,8 +343,8 @@ def test_the_command_line_says_it_in_one_line(level_file, monkeypatch, capsys, t
     assert not (tmp_path / "x.png").exists()
 
 
-def test_http_says_it_as_a_problem(level_file):
-    """422, ``application/problem+json``, the parameter named; what it can do is drawn."""
+def test_http_reports_a_refusal_as_a_problem(level_file):
+    """The status is 422, the type ``application/problem+json``, and the parameter is named. Supported requests are drawn."""
     with running(create_app(Settings(workers=1), [level_file(ground) for ground in ("level", "uneven", "earth")])) as client:
         for name, ground, sentence in REFUSED:
             answer = client.get(f"/levels/{ground}/snapshot.png", params={"view": "map", "algorithm": f"forest={name}"})

@@ -1,4 +1,4 @@
-"""Taking the least expected loss: known figures, then what holds for all."""
+"""Choice by the least expected loss: known figures, and properties of all candidates."""
 
 import pytest
 from hypothesis import given
@@ -18,58 +18,59 @@ def late_chance(ms: float, max_ms: float | None) -> float:
     return forecast("a candidate", ms, 0.0).late_chance(max_ms)
 
 
-def test_a_little_time_is_spent_to_be_sure_and_a_lot_is_not():
-    """Missing costs ten times the median, 150 ms: 100 * 0.9 + 1500 * 0.1 = 240 and 100 * 0.98 + 1500 * 0.02 = 128 against 150."""
+def test_least_expected_loss_trades_time_for_certainty():
+    """A miss costs ten times the median of 150 ms: 100 * 0.9 + 1500 * 0.1 = 240 and 100 * 0.98 + 1500 * 0.02 = 128, against 150."""
     sure = forecast("sure", 150.0, 0.0)
     assert least_expected_loss([forecast("quick", 100.0, 0.10), sure], 0.01).winner.name == "sure"
     assert least_expected_loss([forecast("quick", 100.0, 0.02), sure], 0.01).winner.name == "quick"
     slow = forecast("slow", 1e5, 0.0)
     assert (
         least_expected_loss([forecast("quick", 100.0, 0.02), sure, slow], 0.01).winner.name == "quick"
-    )  # what nobody would take is no measure
+    )  # a candidate that nobody would choose does not change the median
 
 
-def test_what_is_likely_to_miss_is_not_taken_however_quick():
+def test_least_expected_loss_excludes_likely_misses():
     verdict = least_expected_loss(
         [forecast("quick", 1e-3, LIKELY_MISS_CHANCE + 0.01, error=0.02), forecast("sure", 1e6, LIKELY_MISS_CHANCE)], 0.01
     )
     assert (verdict.winner.name, verdict.met) == ("sure", True)
 
 
-def test_where_nothing_is_likely_the_nearest_is_taken_and_it_is_said_by_how_much_it_misses():
+def test_least_expected_loss_reports_the_miss_of_the_nearest():
     verdict = least_expected_loss([forecast("far", 1.0, 1.0, error=0.3), forecast("near", 9.0, 0.9, error=0.02)], 0.01)
     assert (verdict.winner.name, verdict.met) == ("near", False)
     assert verdict.missed_by == "an error of 2.0 %, 1.0 % more than 1.0 %"
 
 
-def test_of_what_keeps_to_the_time_the_most_accurate_is_taken():
+def test_least_expected_loss_takes_the_most_accurate_in_time():
     slow, quick, rough = forecast("slow", 500.0, 0.9, 0.01), forecast("quick", 20.0, 0.9, 0.02), forecast("rough", 10.0, 0.9, 0.3)
     assert least_expected_loss([slow, quick, rough], 1e-4, 50.0).winner.name == "quick"
     assert least_expected_loss([slow, quick, rough], 1e-4).winner.name == "slow"
 
 
-def test_what_may_well_be_late_gives_way_to_what_is_nearly_as_good():
+def test_least_expected_loss_avoids_likely_lateness():
     at_the_limit, below = forecast("at the limit", 50.0, 0.9, 0.010), forecast("below", 30.0, 0.9, 0.012)
     assert least_expected_loss([at_the_limit, below], 1e-4, 50.0).winner.name == "below"
 
 
-def test_what_is_far_off_but_quick_makes_nobody_shy_of_the_limit():
-    """To be late costs ten times the median overshoot, 99: 8.9 * 0.75 + 99 * 0.25 for the best one against 299.9 for the quick one.
-    Were it ten times the worst, the best one would come to 756.
+def test_least_expected_loss_penalises_by_the_median_overshoot():
+    """Lateness costs ten times the median overshoot, 99: 8.9 * 0.75 + 99 * 0.25 for the best one, against 299.9 for the quick one.
+
+    With ten times the largest overshoot, the best one would come to 756.
     """
     quick, near, best = forecast("quick", 5.0, 1.0, 0.3), forecast("near", 40.0, 1.0, 0.010), forecast("best", 40.0, 1.0, 0.009)
-    limit = 40.0 * 3.0**TIME_SPREAD  # where the chance to be late is a quarter
+    limit = 40.0 * 3.0**TIME_SPREAD  # where the probability to be late is a quarter
     assert late_chance(40.0, limit) == pytest.approx(0.25)
     assert least_expected_loss([quick, near, best], 1e-4, limit).winner.name == "best"
 
 
-def test_where_nothing_keeps_to_the_time_the_nearest_is_taken():
+def test_least_expected_loss_takes_the_nearest_if_all_are_late():
     verdict = least_expected_loss([forecast("a", 300.0, 0.0), forecast("b", 200.0, 0.0)], 0.01, 10.0)
     assert (verdict.winner.name, verdict.met) == ("b", False)
     assert "190 ms more than 10 ms" in verdict.missed_by
 
 
-def test_none_is_taken_only_where_there_is_nothing_else():
+def test_least_expected_loss_takes_none_only_if_alone():
     nothing = forecast("none", 0.0, 0.0, error=0.0)
     assert least_expected_loss([nothing, forecast("map", 50.0, 1.0, error=0.5)], 0.01).winner.name == "map"
     assert least_expected_loss([nothing], 0.01).winner.name == "none"
@@ -77,7 +78,7 @@ def test_none_is_taken_only_where_there_is_nothing_else():
         least_expected_loss([], 0.01)
 
 
-def test_half_of_the_times_are_late_at_the_limit_and_few_well_below():
+def test_late_chance_is_one_half_at_the_limit():
     assert late_chance(50.0, None) == 0.0
     assert late_chance(50.0, 50.0) == pytest.approx(0.5)
     assert late_chance(40.0, 50.0) == pytest.approx(1.0 / (1.0 + 1.25 ** (1.0 / TIME_SPREAD)))
@@ -94,7 +95,7 @@ forecasts = st.lists(
 
 
 @given(forecasts, st.floats(1e-4, 0.2), st.none() | st.floats(0.1, 1e4))
-def test_nobody_else_has_a_smaller_expected_loss(candidates, max_error, max_ms):
+def test_least_expected_loss_is_minimal(candidates, max_error, max_ms):
     verdict = least_expected_loss(candidates, max_error, max_ms)
     likely = [one for one in candidates if one.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]
     taken = next(one for one in candidates if one.figures == verdict.winner)
@@ -109,7 +110,7 @@ def test_nobody_else_has_a_smaller_expected_loss(candidates, max_error, max_ms):
 
 
 @given(forecasts, st.floats(1e-4, 0.2), st.sampled_from([0.25, 0.5, 2.0, 1024.0]))
-def test_times_in_another_unit_change_nothing(candidates, max_error, factor):
+def test_least_expected_loss_ignores_the_unit_of_time(candidates, max_error, factor):
     longer = [
         Forecast(
             CandidateFigures(one.figures.name, one.figures.ms * factor, one.figures.error, one.figures.interior),

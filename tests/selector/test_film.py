@@ -1,4 +1,4 @@
-"""Films: what their frames show, that each is the still of its moment, to the bit, and what is refused before any is drawn."""
+"""Films: frames equal the stills of their moments to the bit, and invalid requests fail before any frame is drawn."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ ROUND = CameraPathSpec.model_validate({
 
 @pytest.fixture(scope="module")
 def figure(tmp_path_factory) -> Scene:
-    """A tetrahedron that turns, on a floor."""
+    """Return a tetrahedron that turns on a floor."""
     path = tmp_path_factory.mktemp("film") / "figure.yaml"
     path.write_text(json.dumps(FIGURE), encoding="utf-8")
     return build_scene(load_level(path))
@@ -62,14 +62,14 @@ def frames_of(scene: Scene, request: FilmRequest, replanner: Replanner | None = 
 
 
 def still_of(scene: Scene, frame: FilmFrame) -> np.ndarray:
-    """The picture of a frame's time, clock, view and plan, drawn by itself: of another scene object, so that nothing is shared."""
+    """Return the picture of a frame's time, clock, view and plan, drawn with a fresh scene object that shares nothing."""
     moment = frame.moment
     sun = None if moment.time is None else SunSpec(time=moment.time)
     fresh = build_scene(scene.loaded).with_sun(sun).at_second(moment.second)
     return render_frame(fresh, moment.view, frame.plan).color
 
 
-def test_frames_of_a_moving_sun_are_stills(gl, hills):
+def test_film_frames_of_a_moving_sun_equal_stills(gl, hills):
     request = FilmRequest(FilmSpan(5, 10800.0, NOON), "map", size=SIZE)
     frames = list(frames_of(hills, request))
     assert [frame.moment.time.isoformat() for frame in frames][::4] == ["2024-06-21T12:00:00-04:00", "2024-06-22T00:00:00-04:00"]
@@ -79,7 +79,7 @@ def test_frames_of_a_moving_sun_are_stills(gl, hills):
         assert (frame.color == still_of(hills, frame)).all()
 
 
-def test_frames_of_a_moving_camera_and_what_moves_are_stills(gl, figure):
+def test_film_frames_of_moving_camera_and_meshes_equal_stills(gl, figure):
     request = FilmRequest(FilmSpan(7, 0.5), path=ROUND)
     frames = list(frames_of(figure, request))
     assert [frame.moment.second for frame in frames] == [2.0 + 0.5 * n for n in range(7)]
@@ -88,8 +88,8 @@ def test_frames_of_a_moving_camera_and_what_moves_are_stills(gl, figure):
         assert frame.plan.view == "path" and (frame.color == still_of(figure, frame)).all()
 
 
-def test_a_film_begins_when_its_scene_is_whatever_moves(tmp_path):
-    """A lamp alone, which leaves meshes as they are; and the frames' lamps are where the clock puts them."""
+def test_film_starts_at_the_second_of_its_scene(tmp_path):
+    """Only a lamp moves, which leaves the meshes unchanged. The frames' lamps follow the clock."""
     keys = [{"seconds": 0, "position": [-20, 0, 9]}, {"seconds": 10, "position": [20, 0, 9]}]
     lit = {**FIGURE, "meshes": [{"generate": "tetrahedra"}], "lights": {"lamp": {"kind": "omni", "motion": {"path": keys}}}}
     (tmp_path / "lit.yaml").write_text(json.dumps(lit), encoding="utf-8")
@@ -100,7 +100,7 @@ def test_a_film_begins_when_its_scene_is_whatever_moves(tmp_path):
     assert [moment.scene(scene).lamps["lamp"].position_earth_m[0] for moment in moments] == pytest.approx([0.0, 20.0])
 
 
-def test_a_frame_is_drawn_when_it_is_asked_for(figure, monkeypatch):
+def test_film_frames_are_drawn_lazily(figure, monkeypatch):
     drawn = []
     monkeypatch.setattr(film, "draw", lambda *of: drawn.append(1) or draw(*of))
     frames = frames_of(figure, FilmRequest(FilmSpan(100, 0.01), path=ROUND))
@@ -110,7 +110,7 @@ def test_a_frame_is_drawn_when_it_is_asked_for(figure, monkeypatch):
 
 
 class Turn:
-    """A policy that takes one algorithm up to a call, and then would rather have another one."""
+    """A policy that takes one algorithm for a number of calls, then prefers another one."""
 
     def __init__(self, first: str, then: str, calls: int) -> None:
         self.names, self.calls = (first, then), calls
@@ -127,11 +127,14 @@ class Turn:
         return plan.model_copy(update={"policy": "predict", "predicted": Predicted(ms=ms, wrong=0.001, wrong_cast=0.01)})
 
 
-def test_a_switch_is_spread_over_frames_told_and_recorded(gl, figure, caplog):
-    """Frames before and after it are stills; in between, no more pixels change from one frame to the next than may."""
+def test_film_switch_is_spread_logged_and_recorded(gl, figure, caplog):
+    """Frames before and after the switch are stills.
+
+    In between, the pixels that change from frame to frame stay within the limit.
+    """
     caplog.set_level(logging.INFO, "skugga")
     logging.getLogger("skugga").propagate = True
-    request = FilmRequest(FilmSpan(PATIENCE + 40, 1e-3), "eye")  # of a camera at rest, and hardly any motion
+    request = FilmRequest(FilmSpan(PATIENCE + 40, 1e-3), "eye")  # the camera is at rest, and the body hardly moves
     frames = list(frames_of(figure, request, Replanner(plans=Turn("shadow_map", "shadow_volume", 3))))
     (switched,) = (frame for frame in frames if frame.switch is not None)
     switch, mixed = switched.switch, [frame for frame in frames if frame.transition is not None]
@@ -143,17 +146,17 @@ def test_a_switch_is_spread_over_frames_told_and_recorded(gl, figure, caplog):
     valid_count = render_frame(figure, frames[0].moment.view, frames[0].plan).valid.sum()
     for one, other in zip(frames, frames[1:], strict=False):
         if one.transition or other.transition:
-            # The sun rests, the body turns by 0.03 degrees a frame: colours change, but hardly between light and shadow.
+            # The sun rests and the body turns by 0.03 degrees a frame: colours change, but hardly between light and shadow.
             flipped = (np.abs(one.color.astype(int) - other.color).max(axis=-1) > 40).sum()
             assert flipped <= 1.5 * max(MAX_CHANGED * valid_count, 1.0)
     whole = np.abs(frames[switch.number - 1].color.astype(int) - frames[-1].color).max(axis=-1) > 40
-    assert whole.sum() > 2 * MAX_CHANGED * valid_count  # else nothing was tested
+    assert whole.sum() > 2 * MAX_CHANGED * valid_count  # otherwise the test would be vacuous
     for frame in (*frames[:3], *frames[-2:]):
         assert (frame.color == still_of(figure, frame)).all()
     assert not (switched.color == still_of(figure, switched)).all()
 
 
-def test_night_is_told(gl, hills, caplog):
+def test_film_reports_the_switch_at_night(gl, hills, caplog):
     caplog.set_level(logging.INFO, "skugga")
     logging.getLogger("skugga").propagate = True
     evening = datetime.fromisoformat("2024-06-21T20:00:00-04:00")
@@ -162,20 +165,20 @@ def test_night_is_told(gl, hills, caplog):
     assert switched.switch.after == "none" and switched.switch.why == "nothing casts shadows now"
 
 
-def test_moments_of_a_resting_camera_share_one_view(hills):
+def test_frame_moments_at_rest_share_one_view(hills):
     moments = frame_moments(hills, FilmRequest(FilmSpan(3, 60.0, NOON), "map", size=SIZE))
     assert isinstance(moments[0].view, MapView) and all(moment.view is moments[0].view for moment in moments)
     assert [moment.second for moment in moments] == [0.0, 60.0, 120.0]
     assert moments[2].words == "frame 3 (2024-06-21T12:02:00-04:00)"
 
 
-def test_the_clock_begins_where_it_is_told(figure):
+def test_frame_moments_start_at_the_requested_second(figure):
     moments = frame_moments(figure, FilmRequest(FilmSpan(2, 0.25, None, 10.0), "eye", size=SIZE))
     assert [moment.second for moment in moments] == [10.0, 10.25]
     assert moments[1].words == "frame 2 (0.25 s)" and isinstance(moments[1].view, PerspectiveView)
 
 
-def test_sizes_are_those_of_the_request_or_the_path(figure):
+def test_frame_moments_take_size_from_request_or_path(figure):
     one = frame_moments(figure, FilmRequest(FilmSpan(1, 1.0), path=ROUND))[0].view
     other = frame_moments(figure, FilmRequest(FilmSpan(1, 1.0), path=ROUND, size=(50, 40)))[0].view
     assert ((one.cols, one.rows), (other.cols, other.rows)) == (SIZE, (50, 40))
@@ -194,7 +197,7 @@ WRONG = {
     "no bounds of a perspective": (FilmRequest(FilmSpan(2, 1.0), "eye", bounds=(0, 0, 1, 1)), "bounds:", "perspective view"),
     "under the ground": (
         FilmRequest(FilmSpan(5, 1.0), path=low(-3.3333333333333335)),
-        "path, frame 4 (3 s): eye: the camera goes under the ground, -2.03 m above it",
+        "path, frame 4 (3 s): eye: the camera is 2.03 m below the ground",
         "above",
     ),
     "a large picture": (FilmRequest(FilmSpan(5, 1.0), path=ROUND, size=(5000, 9)), "size: '5000x9'", "at most 4096"),
@@ -202,13 +205,13 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_wrong_is_told_before_a_frame_is_drawn(figure, name):
+def test_frame_moments_refuse_invalid_requests(figure, name):
     request, told, allowed = WRONG[name]
     with pytest.raises(InputError) as caught:
         frame_moments(figure, request)
     assert told in str(caught.value) and allowed in str(caught.value)
 
 
-def test_a_service_may_allow_fewer_frames(figure):
+def test_frame_moments_respect_max_frames(figure):
     with pytest.raises(InputError, match="1 to 10 frames"):
         frame_moments(figure, FilmRequest(FilmSpan(11, 1.0), "eye"), max_frames=10)

@@ -1,4 +1,4 @@
-"""What one probe stands for: classes of maps by their pixels and the sun; and what is kept of probes."""
+"""Map probes: classes of maps by pixel size and sun altitude, and the store of probes on disk."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ def of(scale: int, sun: int, *choices: str) -> MapProbes:
         (1.0, 90.0, (0, 2)), (1.0, degrees(atan(2.0**0.49)), (0, 0)), (1.0, degrees(atan(2.0**0.51)), (0, 1)),
     ],
 )  # fmt: skip
-def test_classes(pixel_m, altitude_deg, expected):
+def test_map_class_by_pixel_size_and_sun_altitude(pixel_m, altitude_deg, expected):
     assert map_class(pixel_m, altitude_deg) == expected
 
 
 @pytest.mark.parametrize("altitude_deg", [None, 0.0, -3.0])
-def test_no_class_without_sunshine(altitude_deg):
+def test_map_class_is_none_without_sun(altitude_deg):
     assert map_class(8.0, altitude_deg) is None
 
 
 @pytest.mark.parametrize("sun", range(-5, 3))
-def test_the_middle_of_a_class_is_in_it(sun):
+def test_map_class_contains_its_middle(sun):
     assert map_class(1.0, MapClass(0, sun).sun_altitude_deg) == (0, sun)
 
 
-def test_what_was_seen_is_less_certain_elsewhere():
+def test_map_probes_add_noise_for_other_blocks():
     probes = of(3, -1, "sweep").merged_with(of(4, -1, "shadow_map 512"))
     found = probes.of(MapClass(4, -1))
     assert found is not None and [each.choice for each in found["sun"]] == ["shadow_map 512"]
@@ -49,13 +49,13 @@ def test_what_was_seen_is_less_certain_elsewhere():
     assert probes.of(MapClass(5, -1)) is None and probes.of(MapClass(3, 0)) is None and probes.of(None) is None
 
 
-def test_later_probes_of_a_class_take_the_place_of_earlier_ones():
+def test_map_probes_merge_replaces_the_same_class():
     both = of(4, 0, "b").merged_with(of(3, 0, "a")).merged_with(of(4, 0, "c"))
     assert both == of(3, 0, "a").merged_with(of(4, 0, "c")) and both != of(3, 0, "a").merged_with(of(4, 0, "b"))
     assert [each.scale for each in both.classes] == [3, 4]
 
 
-def test_kept_and_read(tmp_path, monkeypatch):
+def test_save_probes_merges_with_the_stored_file(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     path = save_probes("device", "1", "level", of(3, 0, "a"))
     assert path.parent == probes_folder("device", "1") != probes_folder("device", "2")
@@ -64,14 +64,14 @@ def test_kept_and_read(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"classes": [{"scale": 1}]}', '{"other": 1}', "\xff"])
-def test_a_broken_file_counts_as_none(tmp_path, text):
+def test_load_probes_ignores_a_broken_file(tmp_path, text):
     path = tmp_path / "level.json"
     assert load_probes(path) == MapProbes()
     path.write_bytes(text.encode("latin1"))
     assert load_probes(path) == MapProbes()
 
 
-def test_the_oldest_are_forgotten(tmp_path, monkeypatch):
+def test_save_probes_evicts_the_oldest_files(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(probe_store, "MAX_KEPT", 2)
     for number in range(4):

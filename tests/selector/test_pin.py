@@ -1,4 +1,4 @@
-"""Choices pinned into level files: all else stays byte for byte, and what is pinned is what is then drawn with."""
+"""Pins: choices written into level files. All other bytes stay, and a later render uses the pinned choices."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def lines_gone(before: str, after: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_what_is_chosen_is_there_and_all_else_as_it_was(name):
+def test_pinned_text_sets_choices_and_keeps_the_rest(name):
     before = FILES[name]
     after = pinned_text(before, CHOSEN, WHY)
     assert after is not None
@@ -70,7 +70,7 @@ def test_what_is_chosen_is_there_and_all_else_as_it_was(name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_the_next_pin_takes_the_place_of_the_last(name):
+def test_pinned_text_replaces_the_previous_pin(name):
     once = pinned_text(FILES[name], CHOSEN, WHY)
     assert once is not None and pinned_text(once, CHOSEN, WHY) == once
     other = pinned_text(once, {"algorithm": {"relief": "hybrid"}}, [WHY[0], "For another reason."])
@@ -98,7 +98,7 @@ LISTS = {
 
 
 @pytest.mark.parametrize("name", [*FILES, *LISTS])
-def test_a_list_of_pins_takes_the_place_of_the_last(name):
+def test_pinned_text_replaces_the_previous_list(name):
     before = {**FILES, **LISTS}[name]
     once = pinned_text(before, PIN_LIST, WHY)
     assert once is not None and pinned_text(once, PIN_LIST, WHY) == once
@@ -164,7 +164,7 @@ SAID_IN_BRACES = {
 @pytest.mark.parametrize("first", [PIN_LIST, {**CHOSEN, **PIN_LIST}])
 @pytest.mark.parametrize("line_end", ["\n", "\r\n"])
 @pytest.mark.parametrize("name", [*SAID, *SAID_IN_BRACES])
-def test_what_a_user_says_inside_of_what_is_replaced_is_kept(name, line_end, first):
+def test_pinned_text_keeps_user_comments_in_replaced_values(name, line_end, first):
     text = (f"{HEAD}shadows:\n{SAID[name]}" if name in SAID else HEAD + SAID_IN_BRACES[name]).replace("\n", line_end)
     comments = re.findall(r"#[^\r\n]*", re.sub(r"""(["'])[^"'].*?\1""", "", text))
     assert len(comments) >= 3
@@ -177,7 +177,7 @@ def test_what_a_user_says_inside_of_what_is_replaced_is_kept(name, line_end, fir
         assert {"\r", "\n"} & set("".join(lines)) == set() and load(text)["shadows"].items() >= chosen.items()
 
 
-def test_comments_stay_at_the_pin_of_their_view_and_suns_or_come_above_the_list():
+def test_pinned_text_moves_comments_with_their_pin():
     after = pinned_text(f"version: 1\nshadows:\n{SAID['lines and ends of lines']}", PIN_LIST, ["Pinned by skugga select."])
     assert after == (
         "version: 1\n#: Pinned by skugga select.\n#: Pinned keys: pins.\nshadows:\n"
@@ -192,13 +192,13 @@ def test_comments_stay_at_the_pin_of_their_view_and_suns_or_come_above_the_list(
     assert "shadows:\n  # <5>\n  # <6>\n  # <7>\n  pins:\n" in in_blocks
 
 
-def test_the_tools_own_comment_in_a_list_is_not_kept():
+def test_pinned_text_drops_its_old_comment_in_a_list():
     before = f"version: 1\nshadows:\n  pins:\n    {PIN_COMMENT} of old.\n    #: And why.\n    # mine\n    - {{filter: 1}}\n"
     after = pinned_text(before, PIN_LIST, WHY)
     assert after is not None and "# mine" in after and "of old" not in after and "And why" not in after
 
 
-def test_a_list_of_pins_has_a_line_a_pin():
+def test_pinned_text_writes_one_line_per_pin():
     before = "version: 1\nshadows:\n  max_error: 0.01  # fine\n"
     after = pinned_text(before, PIN_LIST, ["Pinned by skugga select."])
     assert after == (
@@ -208,7 +208,7 @@ def test_a_list_of_pins_has_a_line_a_pin():
     )
 
 
-def test_of_the_file_nothing_else_changes_at_all():
+def test_pinned_text_of_block_style():
     before = FILES["block style"]
     after = pinned_text(before, {"algorithm": {"relief": "sweep"}, "map_size": 1024}, ["Pinned by skugga select."])
     assert after == (
@@ -231,7 +231,7 @@ def test_of_the_file_nothing_else_changes_at_all():
         optional={"map_size": st.integers(64, 8192), "filter": st.sampled_from([1, "sun"]), "cascades": st.integers(1, 4)},
     ),
 )
-def test_any_block_of_settings(keys, indent, head, tail, line_end, chosen):
+def test_pinned_text_handles_any_block_of_settings(keys, indent, head, tail, line_end, chosen):
     shadows = "".join(f"\n{' ' * indent}{key}: {value}" for key, value in keys.items()) or " {}"
     before = f"{head}version: 1 # v\nshadows:{shadows}{tail}".replace("\n", line_end)
     after = pinned_text(before, chosen, WHY)
@@ -242,7 +242,7 @@ def test_any_block_of_settings(keys, indent, head, tail, line_end, chosen):
     assert pinned_text(after, chosen, WHY) == after
 
 
-def test_what_cannot_be_written_without_changing_more_is_refused(tmp_path):
+def test_pin_refuses_an_edit_that_would_change_other_keys(tmp_path):
     path = tmp_path / "level.yaml"
     text = f"{HEAD}shadows: {{algorithm: &name sweep}}\nsun: none\nattribution: *name\n"
     path.write_text(text, encoding="utf-8")
@@ -251,7 +251,7 @@ def test_what_cannot_be_written_without_changing_more_is_refused(tmp_path):
     assert "\n" not in str(error.value) and path.read_text(encoding="utf-8") == text
 
 
-def test_a_read_only_file_is_one_error_and_nothing_is_lost(tmp_path):
+def test_pin_refuses_a_read_only_file(tmp_path):
     path = tmp_path / "level.yaml"
     path.write_text(HEAD, encoding="utf-8")
     path.chmod(0o444)
@@ -260,7 +260,7 @@ def test_a_read_only_file_is_one_error_and_nothing_is_lost(tmp_path):
     assert path.read_text(encoding="utf-8") == HEAD and os.listdir(tmp_path) == ["level.yaml"]
 
 
-def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+def test_pin_is_atomic(tmp_path, monkeypatch):
     path = tmp_path / "level.yaml"
     path.write_text(HEAD, encoding="utf-8")
 
@@ -273,7 +273,7 @@ def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     assert path.read_text(encoding="utf-8") == HEAD and os.listdir(tmp_path) == ["level.yaml"]
 
 
-def test_permissions_and_links_are_kept(tmp_path):
+def test_pin_keeps_permissions_and_symbolic_links(tmp_path):
     path, link = tmp_path / "level.yaml", tmp_path / "link.yaml"
     path.write_bytes(HEAD.replace("\n", "\r\n").encode())
     path.chmod(0o640)
@@ -284,7 +284,7 @@ def test_permissions_and_links_are_kept(tmp_path):
     assert pinned_keys(link) == ("algorithm", "map_size")
 
 
-def test_words_that_would_break_a_comment_do_not():
+def test_pinned_text_escapes_and_wraps_its_comment():
     after = pinned_text(HEAD, CHOSEN, [f"{WHY[0]} view a\nb: \x07\u2028 {{c}}", "word " * 60])
     assert after is not None and load(after)["shadows"] == CHOSEN
     assert all(len(line) <= 130 for line in after.splitlines())
@@ -295,14 +295,14 @@ def scene():
     return build_scene(load_level(Path("configs/jacksboro.yaml")))
 
 
-def test_of_a_plan_of_the_rules_the_algorithms_are_pinned_alone(scene):
+def test_pins_of_a_rules_plan_hold_only_algorithms(scene):
     facts, level = describe(scene, scene.view()), scene.loaded.level
     plan = make_plan(facts, level)
     chosen = pins(plan, facts, level)
     assert chosen == {"algorithm": plan.algorithm["sun"]}
 
 
-def test_a_pick_is_pinned_with_its_settings_and_comes_back_as_asked_for(scene):
+def test_pins_of_a_choice_reproduce_its_plan(scene):
     facts, level = describe(scene, scene.view()), scene.loaded.level
     choice = Choice("a map", {"relief": "shadow_map"}, {"map_size": 1024, "filter": 1})
     plan = make_plan(facts, level, choices={"sun": choice})
@@ -313,7 +313,7 @@ def test_a_pick_is_pinned_with_its_settings_and_comes_back_as_asked_for(scene):
     assert "set by the level" in again.reasons[0].reason
 
 
-def test_at_night_there_is_nothing_to_pin(scene):
+def test_pins_refuse_a_plan_without_cast_shadow(scene):
     night = scene.with_sun(SunSpec(azimuth=0, altitude=-20))
     facts, level = describe(night, night.view()), night.loaded.level
     with pytest.raises(InputError, match="cast shadow"):

@@ -1,4 +1,4 @@
-"""What `predict` takes: of views made by hand under devices made by hand, and of those that are kept with their measurements."""
+"""Policy `predict`: choices for hand-written views and devices, and for stored views with their measurements."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ERRORS = ErrorModel(
     time_spread=0.2,
     shared=SharedErrors(**dict.fromkeys(("error", "interior", "time"), SharedVariance(view=0.0, family=0.0))),
 )
-"""Errors about which little is left to chance."""
+"""Error model with hardly any uncertainty."""
 
 RATES_NS: dict[str, dict[str, float]] = {
     "shadow_map, perspective": {"blocks": 5e6, "texels": 1.0},
@@ -50,11 +50,11 @@ RATES_NS: dict[str, dict[str, float]] = {
     "mask": {"blocks": 10e6},
     "planar": {"blocks": 2e6},
 }
-"""A device on which a map of 4096 texels a side takes some 22 ms, volumes of 1200 faces some 26 ms, and planar shadows 2 ms."""
+"""Rates under which a map of 4096 texels a side takes some 22 ms, volumes of 1200 faces some 26 ms, and planar shadows 2 ms."""
 
 
 def casting(cast: float = 0.2) -> LightFacts:
-    """Shadows with an edge every hundred pixels or so, a quarter of them on bodies."""
+    """Return shadows with an edge every hundred pixels or so, a quarter of them on bodies."""
     differs = tuple(px / 320.0 for px in TEXEL_LADDER_PX)
     bands = (CastBand(near_m=32.0, far_m=64.0, share=1.0, cast=cast, pixel_m=0.1, light_m=50.0, differs=differs),)
     casts = {"meshes": Casting(share=cast, on_bodies=cast / 4.0, bands=bands)}
@@ -62,7 +62,7 @@ def casting(cast: float = 0.2) -> LightFacts:
 
 
 def described(**changes) -> Descriptor:
-    """Bodies on level ground, seen from nearby under the sun: 640 x 512 pixels of 0.1 m."""
+    """Return bodies on level ground, seen from nearby under the sun: 640 x 512 pixels of 0.1 m."""
     bodies = CasterFacts(kind="meshes", count=10, triangles=2000, closed_share=1.0, height_m=4.0, width_m=5.0)
     given = {
         "view": "main", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": 0.0015, "rows": 512, "cols": 640,
@@ -74,7 +74,7 @@ def described(**changes) -> Descriptor:
 
 
 def device(scale: Callable[[str, str], float] = lambda part, name: 1.0, rates_ns: dict = RATES_NS) -> DeviceProfile:
-    """A device whose rates are those given, ``scale`` times by part of the work and by what is counted."""
+    """Return a device with the given rates, multiplied by ``scale(part, name)``."""
     rates_ns = {part: {name: ns * scale(part, name) for name, ns in its.items()} for part, its in rates_ns.items()}
     return DeviceProfile(
         renderer="a device", version="1", cpus=2, engine="0", measured=datetime(2025, 1, 1, tzinfo=UTC), took_s=1.0,
@@ -105,7 +105,7 @@ def planned(
 
 
 def name_of(plan: Plan, light: str = SUN) -> str:
-    """What a plan has for bodies, by name: the algorithm, and its map's texels a side."""
+    """Return a plan's algorithm for meshes, with the map size if it has one."""
     size = getattr(plan.settings.get(light, {}).get("meshes"), "map_size", None)
     return plan.algorithm[light]["meshes"] + ("" if size is None else f" {size}")
 
@@ -113,21 +113,21 @@ def name_of(plan: Plan, light: str = SUN) -> str:
 def option_of(
     plan: Plan, planner: Planner, light: str, profile: DeviceProfile, errors: ErrorModel | None = ERRORS
 ) -> PredictedChoice:
-    """The option that a plan took under a light."""
+    """Return the option that a plan took under a light."""
     steps = tuple(step for step in plan.steps if step.light == light and step.algorithm != "none")
     return next(one for one in predicted_choices(planner, light, planner.casting(light), profile, errors) if one.steps == steps)
 
 
 @pytest.fixture(scope="module")
 def kept() -> dict[str, dict[str, Any]]:
-    """Views that were measured, by name."""
+    """Return the measured views by name."""
     _, *lines = TABLE.read_text(encoding="utf-8").splitlines()
     return {view["name"]: view for view in map(json.loads, lines)}
 
 
 @pytest.fixture(scope="module")
 def own() -> DeviceProfile:
-    """The device that they were measured on."""
+    """Return the device on which the views were measured."""
     return DeviceProfile.model_validate_json(TABLE.read_text(encoding="utf-8").splitlines()[0])
 
 
@@ -135,37 +135,39 @@ def of(record: dict[str, Any], **changes) -> Descriptor:
     return Descriptor.model_validate({**record["descriptor"], **changes})
 
 
-def test_the_coarsest_map_that_is_right_is_taken_and_planar_shadows_are_not():
-    """A texel of a map of 1024 is a pixel wide: 1 / 320 differ, half of it counts, over a fifth in cast shadow that is 0.8 %.
-    Planar shadows, 25 % wrong, are the quickest by far.
+def test_predict_takes_the_coarsest_map_that_meets_the_target():
+    """A texel of a map of 1024 is a pixel wide: 1 / 320 differ, half of it counts, and over a fifth in cast shadow that is 0.8 %.
+
+    Planar shadows are the quickest by far, but 25 % wrong.
     """
     assert name_of(planned(described(), max_error=0.5)) == "planar"
     plan = planned(described(), max_error=0.02)
     assert name_of(plan) == "shadow_map 1024"
     assert plan.predicted.wrong_cast == pytest.approx(0.5 / 320.0 / 0.2 + 1e-4, rel=0.05)
     assert plan.target.met and plan.policy == "predict"
-    # Of 1 % the same map is 98 % sure: the rest costs more than the 3 ms that a map of 2048 takes longer.
+    # The same map meets 1 % with 98 % probability: the expected miss costs more than the 3 ms that a map of 2048 adds.
     plan = planned(described(), max_error=0.01)
     assert name_of(plan) == "shadow_map 2048" and plan.predicted.ms - planned(described(), max_error=0.02).predicted.ms > 3.0
     assert name_of(planned(described(), max_error=0.005)) == "shadow_map 2048"
 
 
-def test_a_changed_calibration_changes_picks():
-    """For 0.15 % it takes a map of 4096 texels a side, in some 22 ms; of volumes with 1000 caps and 200 sides the counting alone
-    takes more.
+def test_predict_follows_a_changed_calibration():
+    """A target of 0.15 % needs a map of 4096 texels a side, in some 22 ms.
+
+    Volumes with 1000 caps and 200 sides take longer for counting alone.
     """
     view = described()
     assert name_of(planned(view, max_error=0.0015)) == "shadow_map 4096"
     assert name_of(planned(view, device(dear_texels), max_error=0.0015)) == "shadow_volume"
     assert name_of(planned(view, device(cheap_faces), max_error=0.0015)) == "shadow_volume"
-    # Where a coarse map will do, it takes more than dear texels to have another one.
+    # Expensive texels alone do not displace a coarse map.
     assert name_of(planned(view, max_error=0.04)) == "shadow_map 512"
     assert name_of(planned(view, device(dear_texels), max_error=0.04)) == "shadow_map 512"
     slow_maps = device(lambda part, name: 50.0 if part.startswith("shadow_map") else 100.0 if part.startswith("counting") else 1.0)
     assert name_of(planned(view, slow_maps, max_error=0.04)) == "perspective_shadow_map 512"
 
 
-def test_a_changed_calibration_changes_what_is_taken_of_a_view_that_was_measured(kept, own):
+def test_predict_follows_a_changed_calibration_on_measured_views(kept, own):
     view = kept["boxgrid, spot, main"]
 
     def taken(scale: Callable[[str, str], float]) -> str:
@@ -176,8 +178,8 @@ def test_a_changed_calibration_changes_what_is_taken_of_a_view_that_was_measured
     assert taken(lambda part, name: 0.01 if part.startswith(("silhouettes", "counting")) else 1.0) == "shadow_volume"
 
 
-def test_rates_alone_have_no_unit_that_picks_go_by(kept, own):
-    """On a device that is thirty times as slow in everything the same is taken, in thirty times the time."""
+def test_predict_is_independent_of_the_unit_of_rates(kept, own):
+    """A device that is thirty times slower in everything takes the same choice, in thirty times the time."""
     slow = device(lambda part, name: 30.0, own.rates_ns)
     for name in ("rocks, sun, main", "village, map, 9", "goteborg, eye, 22"):
         descriptor = of(kept[name])
@@ -187,7 +189,7 @@ def test_rates_alone_have_no_unit_that_picks_go_by(kept, own):
 
 
 @pytest.mark.parametrize("who", ["the request", "the level"])
-def test_what_is_asked_for_goes_before_what_is_expected(who):
+def test_predict_respects_requested_algorithms_and_settings(who):
     view = described()
 
     def plan(**keys) -> Plan:
@@ -199,13 +201,13 @@ def test_what_is_asked_for_goes_before_what_is_expected(who):
     sized = plan(algorithm="shadow_map", map_size=777, filter=5)
     assert (sized.settings[SUN]["meshes"].map_size, sized.settings[SUN]["meshes"].filter) == (777, 5)
     assert next(one.reason for one in sized.reasons if one.name == "map_size 777") == f"set by {who}"
-    free = plan(map_size=777)  # the size alone: what has it, and what it costs, is still weighed
+    free = plan(map_size=777)  # only the size is set: the algorithm is still chosen by its cost
     assert name_of(free) == "shadow_map 777"
     exact = plan(max_error=0.001, map_size=64)
     assert name_of(exact) == "shadow_volume" and exact.target.max_error == 0.001
 
 
-def test_a_kind_of_casters_that_is_not_asked_for_is_still_chosen(kept, own):
+def test_predict_chooses_for_kinds_without_an_override(kept, own):
     village = of(kept["village, map, 9"])
     plan = planned(village, own, {"algorithm": {"meshes": "shadow_volume"}}, None, max_error=0.03)
     assert plan.algorithm[SUN]["meshes"] == "shadow_volume" and plan.algorithm[SUN]["relief"] != "none"
@@ -216,14 +218,14 @@ def test_a_kind_of_casters_that_is_not_asked_for_is_still_chosen(kept, own):
         planned(village, own, {"algorithm": {"forest": "shadow_volume"}}, None)
 
 
-def test_what_a_device_has_no_rates_for_is_left_out_with_the_reason():
+def test_predict_rejects_algorithms_without_rates():
     plan = planned(described(), device(rates_ns={part: its for part, its in RATES_NS.items() if part != "mask"}))
     assert plan.policy == "predict" and plan.predicted is not None
     said = {one.name: one.reason for one in plan.rejected}
     assert said["hybrid"] == "this device has no rates for mask: run skugga calibrate again"
 
 
-def test_where_nothing_can_be_predicted_the_rules_decide_and_the_plan_says_why():
+def test_predict_falls_back_to_rules_with_a_reason():
     plan = planned(described(), device(rates_ns={"another part": {"blocks": 1.0}}))
     assert plan.policy == "rules" and plan.predicted is None and plan.target.met is None
     assert plan.algorithm == make_plan(described(), asked(described())).algorithm
@@ -231,7 +233,7 @@ def test_where_nothing_can_be_predicted_the_rules_decide_and_the_plan_says_why()
     assert why.startswith("no prediction is possible, so fixed rules choose: ") and "shadow_map: this device has no rates" in why
 
 
-def test_where_the_rules_decide_they_are_asked_about_planned_lights_alone(monkeypatch):
+def test_predict_fallback_plans_only_reaching_lights(monkeypatch):
     lamp = {"kind": "spot", "cutoff_deg": 30.0, "reference_m": 40.0}
     lamps = [LampFacts(name="near", **lamp), LampFacts(name="far", reaches=False, **lamp)]
     asked_about, rules = [], predict.choices_by_rules
@@ -247,9 +249,10 @@ def test_where_the_rules_decide_they_are_asked_about_planned_lights_alone(monkey
 
 
 @pytest.mark.parametrize("max_error", [0.0, 1e-6])
-def test_an_impossible_target_gives_the_nearest_plan_and_says_by_how_much_it_misses(max_error):
-    """No error, or a millionth, within 1 ms: everything takes longer. Planar shadows are 25 % wrong in 2 ms, volumes nearly
-    right in 26 ms: what lies between is nearest.
+def test_predict_takes_the_nearest_plan_for_an_impossible_target(max_error):
+    """The target is an error of zero, or a millionth, within 1 ms: everything takes longer.
+
+    Planar shadows are 25 % wrong in 2 ms, volumes nearly right in 26 ms, so an option in between is nearest.
     """
     view = described()
     plan = planned(view, max_error=max_error, max_ms=1.0)
@@ -259,11 +262,11 @@ def test_an_impossible_target_gives_the_nearest_plan_and_says_by_how_much_it_mis
     over = its.wrong_cast - max_error
     error = f"an error of {format_percent(its.wrong_cast)}, {format_percent(over)} more than {format_percent(max_error)}"
     assert missed == f"expected: {error}; {format_duration(its.ms)}, {format_duration(its.ms - 1.0)} more than 1.0 ms"
-    # No other option comes nearer: the larger of both overshoots, each as a share of what is allowed.
+    # No other option is nearer: the distance is the larger overshoot, each relative to its limit.
     planner = planner_of(view, asked(view))
 
     def overshoot(ms: float, error: float) -> float:
-        return max((error - max_error) / 1e-3, ms - 1.0)  # of errors no less than a thousandth counts as allowed
+        return max((error - max_error) / 1e-3, ms - 1.0)  # error limits below a thousandth count as a thousandth
 
     options = predicted_choices(planner, SUN, ["meshes"], device(), ERRORS)
     least = min(overshoot(one.ms, one.errors.wrong_cast) for one in options)
@@ -271,8 +274,8 @@ def test_an_impossible_target_gives_the_nearest_plan_and_says_by_how_much_it_mis
     assert "comes nearest" in next(one.reason for one in plan.reasons if one.name.startswith("sun/meshes"))
 
 
-def test_with_time_alone_to_go_by_the_most_accurate_in_time_is_taken():
-    """Of maps alone: 4096 texels take some 22 ms, 2048 some 9, 1024 some 6; errors of a millionth are met by none."""
+def test_predict_takes_the_most_accurate_map_in_time():
+    """Only maps are allowed: 4096 texels take some 22 ms, 2048 some 9, 1024 some 6. None meets an error of a millionth."""
     view = described()
     fine, middle = (planned(view, max_error=1e-6, max_ms=ms, algorithm="shadow_map") for ms in (60.0, 20.0))
     assert name_of(fine) == "shadow_map 4096" and 20.0 < fine.predicted.ms < 60.0
@@ -282,7 +285,7 @@ def test_with_time_alone_to_go_by_the_most_accurate_in_time_is_taken():
         assert not plan.target.met and missed.startswith("expected: an error of ") and "ms" not in missed
 
 
-def test_impossible_targets_of_views_that_were_measured_have_plans_too(kept, own):
+def test_predict_plans_measured_views_with_impossible_targets(kept, own):
     for view in [*kept.values()][::6]:
         descriptor = of(view)
         plan = planned(descriptor, own, errors=None, max_error=0.0, max_ms=1e-3)
@@ -292,7 +295,7 @@ def test_impossible_targets_of_views_that_were_measured_have_plans_too(kept, own
         assert any(one.name == f"{view['light']}: target missed" and " more than " in one.reason for one in plan.reasons)
 
 
-def test_nothing_is_never_taken_while_something_casts(kept, own):
+def test_predict_never_takes_none_for_casting_kinds(kept, own):
     casts = 0
     for view in kept.values():
         descriptor = of(view)
@@ -302,17 +305,17 @@ def test_nothing_is_never_taken_while_something_casts(kept, own):
             taken = plan.algorithm[view["light"]]
             assert {kind for kind, name in taken.items() if name != "none"} == set(casting_kinds), view["name"]
             casts += bool(casting_kinds)
-    assert casts > len(kept)  # nearly all of them
+    assert casts > len(kept)  # nearly all views have casters
 
 
-def test_what_a_view_is_called_says_nothing(kept, own):
+def test_predict_is_independent_of_the_view_name(kept, own):
     for name in ("rocks, sun, main", "boxgrid, spot, main", "village, map, 9", "quebec, eye, 14"):
         one, other = (planned(of(kept[name], view=view), own, errors=None, max_error=0.01) for view in ("main", "somewhere else"))
         assert other.view == "somewhere else"
         assert other.model_copy(update={"view": one.view}) == one
 
 
-def test_what_a_lamp_is_called_says_nothing(kept, own):
+def test_predict_is_independent_of_the_lamp_name(kept, own):
     text = json.dumps(kept["boxgrid, spot, main"]["descriptor"])
     assert '"lamp"' in text
     one, other = (
@@ -323,7 +326,7 @@ def test_what_a_lamp_is_called_says_nothing(kept, own):
     assert other.predicted == one.predicted
 
 
-def test_what_is_predicted_of_a_plan_is_what_is_expected_of_the_option_that_is_taken(kept, own):
+def test_predict_reports_the_expectation_of_the_taken_option(kept, own):
     for name in ("rocks, sun, main", "boxgrid, spot, main", "village, map, 9", "goteborg, eye, 22", "zion, map, 20"):
         view, light = of(kept[name]), kept[name]["light"]
         plan = planned(view, own, errors=None, max_error=0.01)
@@ -336,8 +339,8 @@ def test_what_is_predicted_of_a_plan_is_what_is_expected_of_the_option_that_is_t
         ), name
 
 
-def test_lights_are_chosen_for_by_themselves_and_times_add_up():
-    """A lamp whose shadows are hardly seen beside a sun: both are given what the target takes, and share the time."""
+def test_predict_chooses_per_light_and_adds_times():
+    """A lamp with faint shadows shines beside the sun. Each light meets the target, and they share the time."""
     lamp = LampFacts(name="lamp", kind="spot", cutoff_deg=45.0, reference_m=50.0)
     view = described(lamps=(lamp,), lights={SUN: casting(), "lamp": casting(0.05)})
     plan_request = StandaloneRequest(Shadows(max_error=0.01), (SUN, "lamp"))
@@ -351,7 +354,7 @@ def test_lights_are_chosen_for_by_themselves_and_times_add_up():
     assert {one.name for one in late.reasons if one.name.endswith("target missed")} == {"sun: target missed", "lamp: target missed"}
 
 
-def test_why_others_are_left_out_is_what_was_expected_of_them():
+def test_predict_rejects_with_the_expectation_as_reason():
     plan = planned(described(), max_error=0.01)
     said = {one.name: one.reason for one in plan.rejected}
     assert said["planar"].startswith("expected at best: an error of 25 %, 24 % more than 1.0 %")
@@ -359,7 +362,7 @@ def test_why_others_are_left_out_is_what_was_expected_of_them():
     assert "shadow_map" not in said and said["truth"]
 
 
-def test_night_takes_nothing_and_misses_nothing():
+def test_predict_at_night_takes_none_and_meets_the_target():
     night = described(sun_altitude_deg=-20.0, highest_sun_deg=-20.0)
     plan = planned(night, max_error=1e-6, max_ms=1e-3)
     assert name_of(plan) == "none" and plan.target.met is True

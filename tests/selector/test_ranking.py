@@ -1,4 +1,4 @@
-"""Who wins: cases that can be told by hand, and what holds for any candidates."""
+"""Ranking: the best candidate in hand-derived cases, and properties of any candidates."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ figures = st.builds(
 @pytest.mark.parametrize(
     ("max_error", "max_ms", "winner", "met"),
     [
-        (0.05, None, SMALL, True),  # at most, not below
-        (0.03, None, MIDDLE, True),  # not the leaky one, though it is cheaper and its error small
+        (0.05, None, SMALL, True),  # the limit itself is allowed
+        (0.03, None, MIDDLE, True),  # not the one with interior errors, though it is cheaper and its error is small
         (0.03, 20.0, MIDDLE, True),
-        (0.03, 15.0, SMALL, False),  # within the time, one without failure before the more accurate one with it
+        (0.03, 15.0, SMALL, False),  # within the time, no interior error beats a smaller error with interior errors
         (0.003, None, LARGE, False),
         (0.003, 25.0, MIDDLE, False),
-        (0.0, 1.0, LEAKY, False),  # nothing in time: four times too long, but the others are further off
+        (0.0, 1.0, LEAKY, False),  # nothing is in time: this one overshoots by four times the limit, and the others overshoot more
     ],
 )
-def test_the_winner_is_the_one_that_the_rules_name(max_error, max_ms, winner, met):
+def test_best_candidate_by_hand(max_error, max_ms, winner, met):
     verdict = best_candidate(ALL, max_error, max_ms)
     assert (verdict.winner, verdict.met) == (winner, met)
     assert (verdict.missed_by is None) is met
 
 
-def test_what_is_missed_is_told_in_numbers():
+def test_best_candidate_reports_the_miss_in_numbers():
     assert best_candidate(ALL, 0.003).missed_by == "an error of 0.40 %, 0.10 % more than 0.30 %"
     assert best_candidate([LEAKY], 0.03).missed_by == "an interior error of 0.40 %, 0.30 % more than 0.10 %"
     assert (
@@ -47,14 +47,14 @@ def test_what_is_missed_is_told_in_numbers():
     )
 
 
-def test_of_times_alike_the_more_accurate_is_taken():
+def test_best_candidate_breaks_time_ties_by_accuracy():
     close = CandidateFigures("close", 20.0 * TIME_TIE_RATIO, 0.01, 0.0)
     assert best_candidate([MIDDLE, close], 0.03).winner is close
     assert best_candidate([MIDDLE, CandidateFigures("later", 20.0 * TIME_TIE_RATIO + 0.1, 0.01, 0.0)], 0.03).winner is MIDDLE
     assert best_candidate([MIDDLE, close], 0.03, tie_ratio=1.0).winner is MIDDLE
 
 
-def test_nothing_is_drawn_only_where_there_is_nothing_to_draw():
+def test_best_candidate_takes_none_only_if_alone():
     assert best_candidate([NONE, CandidateFigures("b", 100.0, 1.0, 1.0)], 0.03).winner.name == "b"
     assert best_candidate([NONE], 0.03).winner is NONE
     with pytest.raises(ValueError, match="no candidates"):
@@ -62,7 +62,7 @@ def test_nothing_is_drawn_only_where_there_is_nothing_to_draw():
 
 
 @given(st.lists(figures, min_size=1, max_size=8), st.floats(0.0, 1.0), st.none() | st.floats(0.01, 1e4))
-def test_a_target_is_met_if_anything_meets_it(candidates, max_error, max_ms):
+def test_best_candidate_meets_the_target_if_any_does(candidates, max_error, max_ms):
     verdict = best_candidate(candidates, max_error, max_ms)
     able = [one for one in candidates if one.name != "none"] or candidates
     meeting = [one for one in able if relative_overshoot(one, max_error, max_ms) == 0.0]
@@ -80,5 +80,5 @@ def test_a_target_is_met_if_anything_meets_it(candidates, max_error, max_ms):
 
 
 @given(st.lists(figures, min_size=1, max_size=8), st.floats(0.0, 1.0))
-def test_the_order_of_the_candidates_does_not_matter(candidates, max_error):
+def test_best_candidate_is_independent_of_order(candidates, max_error):
     assert best_candidate(candidates, max_error) == best_candidate(candidates[::-1], max_error)

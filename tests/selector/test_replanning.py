@@ -1,4 +1,4 @@
-"""Plans along camera paths: kept while they serve, left at once where they cannot, and switched so that nobody sees it."""
+"""Replanner: hysteresis along camera paths, immediate switches where a plan cannot serve, and gradual transitions."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def level(scene) -> Level:
 
 
 class Table:
-    """A policy that goes by a table: milliseconds and error by algorithm, which a test changes as the camera moves."""
+    """A policy with a table of milliseconds and error by algorithm, which a test changes as the camera moves."""
 
     def __init__(self, **rows: tuple[float, float]) -> None:
         self.rows = rows
@@ -80,7 +80,7 @@ def switches(names: list[str]) -> int:
     return sum(one != other for one, other in zip(names, names[1:], strict=False))
 
 
-def test_what_is_a_little_quicker_is_not_taken(descriptor, level):
+def test_replanner_ignores_a_gain_below_the_margin(descriptor, level):
     table = Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01))
     director = Replanner(plans=table)
     names = algorithms([director.plan(descriptor, level)])
@@ -89,7 +89,7 @@ def test_what_is_a_little_quicker_is_not_taken(descriptor, level):
     assert set(names) == {"shadow_map"} and director.transition is None
 
 
-def test_what_is_quicker_by_a_margin_is_taken_after_some_plans_in_a_row(descriptor, level):
+def test_replanner_switches_after_patience_plans_in_a_row(descriptor, level):
     table = Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01))
     director = Replanner(plans=table)
     director.plan(descriptor, level)
@@ -98,8 +98,8 @@ def test_what_is_quicker_by_a_margin_is_taken_after_some_plans_in_a_row(descript
     assert names == ["shadow_map"] * (PATIENCE - 1) + ["shadow_volume"] * 4
 
 
-def test_a_camera_at_a_border_does_not_flip(descriptor, level):
-    """Two algorithms in turns the quicker one by a third, plan for plan; and by a tenth, for many plans."""
+def test_replanner_does_not_oscillate_at_a_border(descriptor, level):
+    """Two algorithms are quicker in turns: by a third, plan for plan, then by a tenth, for many plans each."""
     table = Table(shadow_map=(10.0, 0.01), shadow_volume=(10.0, 0.01))
     director, names = Replanner(plans=table), []
     for number in range(8 * PATIENCE):
@@ -113,18 +113,18 @@ def test_a_camera_at_a_border_does_not_flip(descriptor, level):
     assert switches(names) == 0
 
 
-def test_a_badly_missed_target_does_not_wait(descriptor, level):
+def test_replanner_switches_at_once_on_a_badly_missed_target(descriptor, level):
     table = Table(shadow_map=(10.0, 0.02), shadow_volume=(20.0, 0.0))
     director = Replanner(plans=table)
     director.plan(descriptor, level)
-    table.rows["shadow_map"] = (10.0, 0.032)  # by less than a tenth: nothing is done
+    table.rows["shadow_map"] = (10.0, 0.032)  # missed by less than a tenth: no switch
     assert algorithms([director.plan(descriptor, level) for _ in range(2 * PATIENCE)]) == ["shadow_map"] * (2 * PATIENCE)
     table.rows["shadow_map"] = (10.0, 0.09)
     assert algorithms([director.plan(descriptor, level)]) == ["shadow_volume"]
 
 
-def test_no_error_at_all_may_be_asked_for(descriptor, level):
-    """By how much a target of 0 is missed is told in thousandths."""
+def test_is_better_accepts_a_target_of_zero(descriptor, level):
+    """A miss of the target 0 counts in thousandths."""
     table = Table(shadow_map=(20.0, 0.002), shadow_volume=(30.0, 0.001))
     asked = {"max_error": 0.0}
     exact = table(descriptor, level, asked | {"algorithm": {"sun": {"meshes": "shadow_volume"}}})
@@ -133,7 +133,7 @@ def test_no_error_at_all_may_be_asked_for(descriptor, level):
     assert is_better(exact, rough) and not is_better(rough, exact)
 
 
-def test_what_is_asked_for_is_taken_at_once(descriptor, level):
+def test_replanner_takes_overrides_at_once(descriptor, level):
     director = Replanner("rules")
     first = director.plan(descriptor, level)
     other = "shadow_volume" if algorithms([first]) != ["shadow_volume"] else "hybrid"
@@ -142,8 +142,8 @@ def test_what_is_asked_for_is_taken_at_once(descriptor, level):
     assert director.plan(descriptor, level).algorithm == first.algorithm
 
 
-def test_night_falls_at_once_and_once(scene, level):
-    """And day breaks: two switches, without a mixture, since what is left could not be drawn."""
+def test_replanner_switches_once_at_nightfall(scene, level):
+    """Nightfall and daybreak make two switches, without a mixture: the old plan could not be drawn."""
     view, director, names = scene.view("eye"), Replanner("rules"), []
     altitudes = [*np.linspace(3.0, -3.0, 13), *np.linspace(-3.0, 3.0, 13)]
     for altitude in altitudes:
@@ -154,8 +154,8 @@ def test_night_falls_at_once_and_once(scene, level):
     assert [name == "none" for name in names] == [altitude <= 0.0 for altitude in altitudes]
 
 
-def test_resolved_settings_are_those_of_the_present_view(scene, descriptor, level):
-    """The map is kept, its texels are those that a plan of the view alone has with such a map."""
+def test_replanner_resolves_settings_for_the_present_view(scene, descriptor, level):
+    """The choice is kept. The texels are those of a plan for the view alone with that choice."""
     director = Replanner(plans=Table(shadow_map=(10.0, 0.01), shadow_volume=(20.0, 0.01)))
     first = director.plan(descriptor, level)
     choices = choices_from_plan(first)
@@ -168,17 +168,20 @@ def test_resolved_settings_are_those_of_the_present_view(scene, descriptor, leve
     assert kept.settings != first.settings
 
 
-def test_picks_are_what_a_plan_chose(descriptor, level):
+def test_choices_from_plan_reproduce_the_plan(descriptor, level):
     for name in ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "none"):
         plan = make_plan(descriptor, level, {"algorithm": {"sun": {"meshes": name}}, "map_size": 256, "cascades": 2})
         again = make_plan(descriptor, level, choices=choices_from_plan(plan))
-        if name != "none":  # which nothing picks
+        if name != "none":  # no choice is none
             assert (again.algorithm, again.settings) == (plan.algorithm, plan.settings)
         assert casting(plan) == {"sun": frozenset() if name == "none" else {"meshes"}}
 
 
-def test_a_switch_changes_few_pixels_a_frame(gl, scene, descriptor, level):
-    """Between a coarse map and volumes: from frame to frame no more than is allowed, and at its end everything is the new one."""
+def test_replanner_transition_changes_few_pixels_a_frame(gl, scene, descriptor, level):
+    """The switch leads from a coarse map to volumes.
+
+    Each frame stays within the limit, and the last one is wholly the new plan's.
+    """
     view = scene.view("eye")
     table = Table(shadow_map=(10.0, 0.03), shadow_volume=(20.0, 0.0))
     coarse: PlanFunction = lambda *given: table(*given[:2], {"map_size": 64, **(given[2] or {})})  # noqa: E731
@@ -194,7 +197,7 @@ def test_a_switch_changes_few_pixels_a_frame(gl, scene, descriptor, level):
         seen.append(changed(shown, frame))
         shown = frame
     whole = changed(before, shown)
-    assert whole > MAX_CHANGED  # else nothing would be tested
+    assert whole > MAX_CHANGED  # otherwise the test would be vacuous
     assert mixed + 1 == expected_transition_frames(
         *(table(descriptor, level, {"algorithm": {"sun": {"meshes": name}}}) for name in table.rows)
     )
@@ -203,13 +206,13 @@ def test_a_switch_changes_few_pixels_a_frame(gl, scene, descriptor, level):
 
 
 def changed(before: np.ndarray, after: np.ndarray) -> float:
-    """Share of the pixels whose class changes."""
+    """Return the share of the pixels whose class changes."""
     valid = ~np.isnan(before)
     return float(((before < 0.5) != (after < 0.5))[valid].mean())
 
 
 @given(st.integers(1, 40), st.integers(1, 40), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_a_mixture_is_spread_evenly_and_only_grows(rows, cols, share, more):
+def test_mix_pictures_is_even_and_monotonic(rows, cols, share, more):
     before, after = np.zeros((rows, cols)), np.ones((rows, cols))
     less, most = sorted((share, more))
     mixed, later = mix_pictures(before, after, less), mix_pictures(before, after, most)
@@ -220,7 +223,7 @@ def test_a_mixture_is_spread_evenly_and_only_grows(rows, cols, share, more):
     assert (colours == mixed[..., None]).all()
 
 
-def test_a_switch_takes_the_frames_that_its_errors_need(descriptor, level):
+def test_expected_transition_frames_follow_predicted_errors(descriptor, level):
     plans = [
         make_plan(descriptor, level).model_copy(update={"predicted": Predicted(ms=1.0, wrong=w, wrong_cast=w)})
         for w in (0.0, 0.003, 1.0)

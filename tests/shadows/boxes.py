@@ -1,4 +1,4 @@
-"""Boxes over level ground, and the sun's visibility of what is seen of them."""
+"""Boxes over level ground, and their visibility by shadow maps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ View = MapView | PerspectiveView
 
 
 def box(size_m: tuple[float, float, float], bottom_m: float = 0.0, at_m: tuple[float, float] = (0.0, 0.0)) -> trimesh.Trimesh:
-    """A closed box over a place, its faces outwards; a pebble on the ground keeps one that hovers from being set down."""
+    """Return a closed box over a position, its faces outwards.
+
+    A pebble on the ground keeps a hovering box from being set down.
+    """
     mesh = trimesh.creation.box(extents=size_m)
     mesh.apply_translation([*at_m, bottom_m + size_m[2] / 2])
     if not bottom_m:
@@ -36,7 +39,7 @@ def box(size_m: tuple[float, float, float], bottom_m: float = 0.0, at_m: tuple[f
 
 
 def level_of(folder: Path, meshes: list[trimesh.Trimesh], azimuth: float, altitude: float, **keys) -> Scene:
-    """A scene of meshes, whose heights count from level ground of 200 m a side."""
+    """Return a scene of meshes, whose heights count from level ground of 200 m a side."""
     names = [f"mesh{number}.obj" for number in range(len(meshes))]
     for name, mesh in zip(names, meshes, strict=True):
         mesh.export(folder / name)
@@ -53,7 +56,7 @@ def level_of(folder: Path, meshes: list[trimesh.Trimesh], azimuth: float, altitu
 def visibility(
     scene: Scene, view: View, light: str = "sun", bias_scale: float = 1.0, **overrides
 ) -> tuple[np.ndarray, GeometryBuffer]:
-    """Visibility of a light by shadow maps, attached shadow included, NaN where there is no surface; and what it is of."""
+    """Return the visibility of a light by shadow maps, and its geometry buffer. Attached shadow counts; NaN marks no surface."""
     buffer = geometry_buffer(scene, view)
     seen = np.ones(buffer.valid.shape, np.float32)
     for step in plan_of(scene, view, algorithm="shadow_map", **overrides).steps:

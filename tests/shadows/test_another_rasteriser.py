@@ -1,4 +1,4 @@
-"""The whole path on another rasteriser than goldens are made on: each picture within the tolerance for that."""
+"""Whole pipeline on another rasteriser than that of the golden pictures, within the tolerance for other renderers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lights as areas: penumbrae of the sun's disc and of lamps' balls, by each algorithm that has them, against rays to the area."""
+"""Area lights: penumbrae of the sun's disc and of spherical lamps, for each algorithm that supports them, against rays."""
 
 from __future__ import annotations
 
@@ -34,13 +34,15 @@ MAX_SOFT_ERROR = 0.02
 
 
 def figure(folder: Path, **keys) -> Scene:
-    """A body on the ground, a high plate and a thin post under the sun, with lamps if there are any."""
+    """Return a body on the ground, a high plate and a thin post under the sun, with optional lamps."""
     bodies = [box((5, 4, 4)), box((7, 5, 0.2), 9.0, (6, 6)), box((0.4, 0.4, 8), 0, (-5, 3))]
     return level_of(folder, bodies, 205, 40, views={"eye": EYE}, **keys)
 
 
 def soft(buffer: GeometryBuffer, scene: Scene, light: str) -> np.ndarray:
-    """True visibility (rows, cols) of a light as an area, dark where its middle cannot reach; NaN off the surface."""
+    """Return the true visibility (rows, cols) of an area light: dark where the surface faces away from its centre, NaN off the
+    surface.
+    """
     rays = ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
     seen = area_visibility(buffer, scene, light, rays, 256)
     seen[attached(buffer, scene, light)] = 0.0
@@ -52,16 +54,16 @@ def seen(scene: Scene, view: View, light: str, **asked) -> np.ndarray:
 
 
 def share_beyond(u: np.ndarray) -> np.ndarray:
-    """The part of a disc of radius 1 beyond a chord at u."""
+    """Return the part of a disc of radius 1 beyond a chord at u."""
     u = np.clip(u, -1.0, 1.0)
     return (np.arccos(u) - u * np.sqrt(1.0 - u**2)) / np.pi
 
 
-# -- points of lights
+# -- sample points of lights
 
 
-def test_points_of_a_disc_and_of_a_ball_cover_it_evenly():
-    """The share of them beyond a line, or a plane, is that of the disc which is seen, from every side."""
+def test_light_points_cover_disc_and_ball_evenly():
+    """From every side, the share of points beyond a line or a plane is that of the visible disc."""
     sides = np.random.default_rng(2).normal(size=(40, 3))
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     flat = sides[:, :2] / np.linalg.norm(sides[:, :2], axis=1, keepdims=True)
@@ -74,9 +76,10 @@ def test_points_of_a_disc_and_of_a_ball_cover_it_evenly():
 
 
 @pytest.mark.parametrize("kind", ["spot", "omni"])
-def test_truth_of_a_ball_is_that_of_a_disc_beyond_an_edge(tmp_path, kind):
-    """A wide plate at half the height of a lamp above it: along a line across the edge of its shadow the ground sees the part of
-    the ball beyond the plane through the plate's edge.
+def test_area_truth_of_a_ball_is_a_disc_beyond_an_edge(tmp_path, kind):
+    """A wide plate lies at half the height of a lamp.
+
+    Along a line across its shadow's edge, the ground sees the part of the ball beyond the plane through the plate's edge.
     """
     radius, height, aside = 0.8, 12.0, 6.0
     lamp = {"kind": kind, "position": [-aside, 0, height], "radius": radius}
@@ -85,7 +88,7 @@ def test_truth_of_a_ball_is_that_of_a_disc_beyond_an_edge(tmp_path, kind):
     view = scene.view(bounds=(aside - 2, -0.1, aside + 2, 0.1), size=(100, 5))
     buffer = geometry_buffer(scene, view)
     x = buffer.position_frame_m[2, :, 0]
-    beyond_m = (aside - x) * height / 2 / np.hypot(x, height / 2)  # from the plane to the middle of the ball
+    beyond_m = (aside - x) * height / 2 / np.hypot(x, height / 2)  # distance from the plane to the ball's centre
     theory = share_beyond(beyond_m / radius)
     assert theory.min() == 0.0 and theory.max() == 1.0
     assert np.abs(soft(buffer, scene, "lamp")[2] - theory).max() < 0.02
@@ -95,7 +98,7 @@ def test_truth_of_a_ball_is_that_of_a_disc_beyond_an_edge(tmp_path, kind):
 
 
 @pytest.mark.parametrize("algorithm", ["shadow_map", "perspective_shadow_map", "shadow_volume"])
-def test_the_sun_is_a_disc(gl, algorithm):
+def test_area_light_of_the_sun_matches_truth(gl, algorithm):
     scene = build_scene(load_level(find_level("thesis_boxgrid_sun")))
     view = scene.view("close", size=(120, 96))
     real = soft(geometry_buffer(scene, view), scene, "sun")
@@ -110,8 +113,8 @@ def test_the_sun_is_a_disc(gl, algorithm):
     ("algorithm", "light"),
     [("shadow_map", "spot"), ("shadow_map", "omni"), ("perspective_shadow_map", "spot"), ("shadow_volume", "omni")],
 )
-def test_a_lamp_is_a_ball(gl, tmp_path, algorithm, light):
-    """As it is by itself; with a tap asked for, it is a point."""
+def test_area_light_of_a_lamp_matches_truth(gl, tmp_path, algorithm, light):
+    """A lamp with a radius is a ball by default. With requested taps it is a point."""
     scene = figure(tmp_path, lights={light: LAMPS[light]}, sun="none")
     view = scene.view("eye")
     real = soft(geometry_buffer(scene, view), scene, light)
@@ -122,7 +125,7 @@ def test_a_lamp_is_a_ball(gl, tmp_path, algorithm, light):
     assert ball <= MAX_SOFT_ERROR and ball < 0.5 * hard
 
 
-def test_a_map_view_has_the_same_penumbrae(gl, tmp_path):
+def test_area_light_in_a_map_matches_truth(gl, tmp_path):
     scene = figure(tmp_path, lights={"spot": LAMPS["spot"]})
     view = scene.view(bounds=(-14, -14, 14, 14), size=(90, 90))
     buffer = geometry_buffer(scene, view)
@@ -132,17 +135,17 @@ def test_a_map_view_has_the_same_penumbrae(gl, tmp_path):
         assert soft_error(found[light], soft(buffer, scene, light)) <= MAX_SOFT_ERROR
 
 
-def test_truth_is_of_the_area_too(gl, tmp_path):
+def test_truth_algorithm_samples_area_lights(gl, tmp_path):
     scene = figure(tmp_path, lights={"omni": LAMPS["omni"]})
     view = scene.view("eye")
     frame = render_frame(scene, view, plan_of(scene, view, algorithm="truth", filter="sun"))
     for light in ("sun", "omni"):
         real = soft(geometry_buffer(scene, view), scene, light)
         partly = np.nanmean((real > 0.0) & (real < 1.0))
-        assert soft_error(frame.visibilities[light], real) < partly / 32  # 64 rays, each an equal part
+        assert soft_error(frame.visibilities[light], real) < partly / 32  # 64 rays with equal weights
 
 
-def test_a_radius_of_nothing_is_a_point(gl, tmp_path):
+def test_lamp_with_radius_zero_is_a_point(gl, tmp_path):
     pictures = []
     for radius, filter in ((0.0, "auto"), (0.5, 3), (0.5, "auto")):
         scene = figure(tmp_path, lights={"omni": LAMPS["omni"] | {"radius": radius}}, sun="none")
@@ -154,7 +157,7 @@ def test_a_radius_of_nothing_is_a_point(gl, tmp_path):
 # -- plans
 
 
-def test_the_plan_and_the_record_say_what_runs(gl, tmp_path):
+def test_plan_and_records_name_light_points(gl, tmp_path):
     scene = figure(tmp_path, lights={"spot": LAMPS["spot"]})
     view = scene.view("eye")
     plan = plan_of(scene, view, algorithm={"sun": "shadow_volume", "spot": "perspective_shadow_map"}, filter="sun")
@@ -170,7 +173,7 @@ def test_the_plan_and_the_record_say_what_runs(gl, tmp_path):
 
 
 @pytest.mark.parametrize(("algorithm", "words"), [("hybrid", "hard edges to volumes"), ("planar", "hard edges only")])
-def test_who_cannot_is_refused_with_the_reason(tmp_path, algorithm, words):
+def test_plan_refuses_area_lights_for_hard_edge_algorithms(tmp_path, algorithm, words):
     scene = figure(tmp_path, lights={"omni": LAMPS["omni"]})
     view = scene.view("eye")
     for asked in ({"algorithm": algorithm, "filter": "sun"}, {"algorithm": {"omni": {"meshes": algorithm}}}):
@@ -179,7 +182,7 @@ def test_who_cannot_is_refused_with_the_reason(tmp_path, algorithm, words):
     assert plan_of(scene, view, algorithm=algorithm, filter=1).algorithm["omni"]["meshes"] == algorithm
 
 
-def test_a_radius_is_refused_that_is_none(tmp_path):
+def test_level_refuses_a_negative_radius(tmp_path):
     level = {
         "version": 1,
         "terrain": {"flat": {"size": [20, 20], "cells": [2, 2]}},

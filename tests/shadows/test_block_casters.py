@@ -1,4 +1,4 @@
-"""What a block provably does not need is left out for it: the picture is the same to the bit, and the record says so."""
+"""Block casters: a block skips casters that provably do not matter, its picture stays the same to the bit, and records say so."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SUNS = (4.0, 50.0, 12.0, 65.0, 25.0, 38.0)
 
 @contextmanager
 def everything_on(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """No block goes without anything that its plan lists."""
+    """Disable all omissions, so that each block draws everything that its plan lists."""
     with monkeypatch.context() as patch:
         patch.setattr("skugga.shadows.block_casters.culled_patches", lambda *of: frozenset())
         patch.setattr("skugga.shadows.block_casters.own_ground_is_clear", lambda *of: False)
@@ -49,7 +49,7 @@ def everything_on(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def windows(scene: Scene, random: np.random.Generator, count: int) -> Iterator[tuple[Scene, MapView]]:
-    """Windows somewhere on a level, of tiles' pixels and of others, under suns of all heights."""
+    """Yield random windows on a level, on and off tile pixels, under suns of all altitudes."""
     for number in range(count):
         sun = SunSpec(azimuth=float(random.uniform(0.0, 360.0)), altitude=SUNS[number % len(SUNS)])
         if scene.world.flat:
@@ -75,7 +75,7 @@ def assert_equal(one: Frame, other: Frame) -> None:
 
 
 def compare(scene: Scene, monkeypatch: pytest.MonkeyPatch, count: int, seed: int) -> dict[str, int]:
-    """Windows with everything on and as they are drawn: how many there were, and how many went without what."""
+    """Compare windows with and without omissions, and return their number and the number of each omission."""
     random, found = np.random.default_rng(seed), {"windows": 0, "outside_casters": 0, "shadows": 0}
     for number, (lit, view) in enumerate(windows(scene, random, count)):
         plan = plan_of(lit, view, **ASKED[number % len(ASKED)])
@@ -93,7 +93,7 @@ def compare(scene: Scene, monkeypatch: pytest.MonkeyPatch, count: int, seed: int
 
 
 @pytest.mark.parametrize("name", quick(LEVELS, "jacksboro"))
-def test_random_windows_of_bundled_levels_are_the_same_to_the_bit(gl, monkeypatch, name):
+def test_block_casters_keep_pictures_of_bundled_levels(gl, monkeypatch, name):
     scene = build_scene(load_level(LEVELS_FOLDER / f"{name}.yaml"))
     found = compare(scene, monkeypatch, 8 if name == "jacksboro" else 4, 5)
     print(name, found)
@@ -101,13 +101,13 @@ def test_random_windows_of_bundled_levels_are_the_same_to_the_bit(gl, monkeypatc
 
 
 @pytest.mark.parametrize("source", quick(REAL, REAL[0]))
-def test_random_windows_of_real_mountains_are_the_same_to_the_bit(gl, monkeypatch, shared_data, make_scene, source):
+def test_block_casters_keep_pictures_of_real_mountains(gl, monkeypatch, shared_data, make_scene, source):
     found = compare(make_scene(shared_data / source), monkeypatch, 4, 6)
     print(source, found)
 
 
-def test_the_record_says_what_a_block_went_without(gl, monkeypatch):
-    """Under a high sun over gentle ground no shadow pass runs, though the plan, which is the level's, lists it."""
+def test_block_casters_record_what_a_block_omits(gl, monkeypatch):
+    """Under a high sun over gentle ground no shadow pass runs, though the level's plan lists it."""
     scene = build_scene(load_level(LEVELS_FOLDER / "jacksboro.yaml")).with_sun(SunSpec(azimuth=200.0, altitude=50.0))
     random = np.random.default_rng(3)
     _, view = next((lit, view) for lit, view in windows(scene, random, 50) if view.on_nodes)

@@ -1,4 +1,4 @@
-"""An algorithm for each kind of casters: the visibilities of the kinds multiply to that of all of them together."""
+"""Algorithms per caster kind: the visibilities of the kinds multiply to that of all casters."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ KINDS = ("relief", "meshes", "forest")
 
 @pytest.fixture(scope="module")
 def village() -> Scene:
-    """A bundled level with woods and houses, under a sun so low that its ridges throw shadows into the village too."""
+    """Return a bundled level with woods and houses, under a sun so low that its ridges shade the village, too."""
     return build_scene(load_level("configs/jacksboro_wooded.yaml")).with_sun(SunSpec(azimuth=320, altitude=5))
 
 
@@ -46,25 +46,25 @@ def truth(scene: Scene, buffer: GeometryBuffer, kinds: tuple[str, ...]):
 
 
 def alone(name: str, kind: str) -> dict[str, str]:
-    """An override by which only one kind casts."""
+    """Return an override by which only one kind casts."""
     return {other: name if other == kind else "none" for other in KINDS}
 
 
-def test_all_kinds_are_there_and_cast(gl, village, buffer):
+def test_village_has_casters_of_all_kinds(gl, village, buffer):
     assert village.objects.kinds == KINDS and {RELIEF, MESHES, FOREST} <= set(np.unique(buffer.kind))
     for kind in KINDS:
         one = truth(village, buffer, (kind,))
         assert 0.01 < (~one.lit & ~one.attached & one.valid).sum() / one.valid.sum() < 0.5
 
 
-def test_truths_of_the_kinds_multiply_to_the_truth_of_all(gl, village, buffer):
-    """Pixel by pixel wherever all of them are decidable: what meets a ray to the sun is of one kind or another."""
+def test_truths_of_kinds_multiply(gl, village, buffer):
+    """The product is exact where all truths are decidable: whatever blocks a ray to the sun is of one of the kinds."""
     whole, single = truth(village, buffer, KINDS), [truth(village, buffer, (kind,)) for kind in KINDS]
     product = np.logical_and.reduce([one.lit for one in single])
     decidable = np.logical_and.reduce([whole.decidable, *(one.decidable for one in single)])
     assert decidable.sum() > 0.7 * buffer.valid.sum()
     np.testing.assert_array_equal(product[decidable], whole.lit[decidable])
-    # a ray starts at an offset by the extent of what it may meet, which is another for each kind
+    # the offset of a ray's start depends on the extent of its casters, which differs by kind
     assert (product != whole.lit)[whole.decidable].mean() <= 1e-3
     for left_out in range(3):
         fewer = np.logical_and.reduce([one.lit for number, one in enumerate(single) if number != left_out])
@@ -72,12 +72,12 @@ def test_truths_of_the_kinds_multiply_to_the_truth_of_all(gl, village, buffer):
 
 
 @pytest.mark.parametrize(("taps", "sure"), [(1, True), (3, False)])
-def test_shadow_maps_of_the_kinds_multiply_to_the_map_of_all(gl, village, taps, sure):
-    """With one tap exactly: the map of all holds the nearest of the kinds' depths.
+def test_shadow_maps_of_kinds_multiply(gl, village, taps, sure):
+    """With one tap the product is exact: the map of all casters holds the nearest depth of the kinds.
 
-    With n taps, shares a, b and c of which are lit past each kind, the share past all is between max(0, a + b + c - 2) and
-    min(a, b, c) (M. Frechet, 1935), and so is the product: they differ by 2 / (3 sqrt 3) = 0.385 at most, and only where penumbras
-    of kinds overlap.
+    With n taps, of which shares a, b and c are lit past each kind, the lit share is between max(0, a + b + c - 2) and min(a, b, c)
+    (M. Frechet, 1935), and so is the product. They differ by 2 / (3 sqrt 3) = 0.385 at most, and only where penumbrae of kinds
+    overlap.
     """
     view = view_of(village)
     whole = render_points(village, view, algorithm="shadow_map", map_size=1024, filter=taps)
@@ -95,8 +95,8 @@ def test_shadow_maps_of_the_kinds_multiply_to_the_map_of_all(gl, village, taps, 
     assert np.abs(product - together).max() <= 2.0 / 27.0**0.5 and ((product < 0.5) != (together < 0.5)).mean() < 1e-3
 
 
-def test_each_kind_has_passes_of_its_own(gl, village):
-    """``relief=truth,meshes=shadow_map,forest=truth``: kinds that share an algorithm go together; the product is the picture."""
+def test_kinds_with_one_algorithm_share_passes(gl, village):
+    """The override is ``relief=truth,meshes=shadow_map,forest=truth``. The picture is the product of both algorithms."""
     view = view_of(village)
     names = {"relief": "truth", "meshes": "shadow_map", "forest": "truth"}
     frame = render_points(village, view, algorithm=names, map_size=512)
@@ -111,8 +111,8 @@ def test_each_kind_has_passes_of_its_own(gl, village):
     np.testing.assert_array_equal(frame.visibility, parts[0] * parts[1])
 
 
-def test_projected_kinds_multiply_exactly(gl, tmp_path):
-    """On a flat floor by the stencil: a box's shadow and the trees', by themselves and together."""
+def test_planar_visibilities_of_kinds_multiply(gl, tmp_path):
+    """On a flat floor, the stencil gives the shadows of a figure and of trees, together and separately."""
     feet = shapely.to_wkb(np.array([shapely.Point(*at) for at in ((-12, 4), (6, -9), (10, 8), (-5, -14))], object))
     pyogrio.raw.write(tmp_path / "trees.gpkg", feet, [], [], geometry_type="Point", crs=ENGINEERING)
     level = {
@@ -124,7 +124,7 @@ def test_projected_kinds_multiply_exactly(gl, tmp_path):
     view = scene.view(bounds=(-30, -30, 30, 30), size=(230, 230))
     together = render_points(scene, view, algorithm="planar").visibility
     single = {kind: render_points(scene, view, algorithm=alone("planar", kind)).visibility for kind in KINDS}
-    assert (single["relief"] == 1.0)[np.isfinite(together)].mean() > 0.9  # what is turned away is dark, and nothing else
+    assert (single["relief"] == 1.0)[np.isfinite(together)].mean() > 0.9  # only attached shadow is dark
     assert all((single[kind] < single["relief"]).sum() > 50 for kind in ("meshes", "forest"))
     np.testing.assert_array_equal(np.prod(list(single.values()), axis=0), together)
     assert plan_of(scene, view, algorithm={"meshes": "planar"}).headline == "relief=none,meshes=planar,forest=shadow_map"

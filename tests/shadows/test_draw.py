@@ -1,4 +1,4 @@
-"""``draw``: what is needed and nothing else, the same by heights and by frames, across blocks and off the data."""
+"""``draw``: returns what is needed and nothing else; the results by heights and by frames agree, across blocks and off the data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CELL_M = 30.0
 
 @pytest.fixture
 def hills(write_raster, make_scene):
-    """``hills(azimuth, altitude)``: rough ground with a hole, 120 x 1100 cells, so that a map of its cells takes two blocks."""
+    """Return ``hills(azimuth, altitude)``: rough ground of 120 x 1100 cells with a hole, so that its map takes two blocks."""
 
     def make(azimuth: float, altitude: float, **keys):
         row, col = np.mgrid[:120, :1100]
@@ -32,14 +32,14 @@ def hills(write_raster, make_scene):
 
 
 def nodes_of(scene, rows: int = 140, cols: int = 1130) -> MapView:
-    """A map of the grid's nodes that reaches beyond the data on each side."""
+    """Return a map of the grid's nodes that extends beyond the data on each side."""
     own = scene.view("map")
     return MapView(own.grid, float(np.floor(own.row0)) - 9.0, float(np.floor(own.col0)) - 9.0, 1.0, 1.0, rows, cols)
 
 
 @pytest.mark.parametrize("needs", [{"color"}, {"opacity"}, {"visibility"}, {"color", "reach"}, {"visibility", "reach"}, {"frame"}])
 @pytest.mark.parametrize("kind", ["hills", "between nodes", "clouds"])
-def test_it_gives_what_is_needed_and_nothing_else(gl, hills, needs, kind):
+def test_draw_returns_only_what_is_needed(gl, hills, needs, kind):
     scene = hills(225.0, 22.0, **({"weather": {"cloud_cover": 0.5}} if kind == "clouds" else {}))
     view = scene.view("map", size=(90, 60)) if kind == "between nodes" else nodes_of(scene, 60, 80)
     picture = draw(scene, view, plan_of(scene, view), frozenset(needs))
@@ -47,7 +47,7 @@ def test_it_gives_what_is_needed_and_nothing_else(gl, hills, needs, kind):
     assert picture.valid.shape == (view.rows, view.cols) and picture.passes
 
 
-def test_blocks_by_heights_are_one_frame(gl, hills):
+def test_draw_by_heights_equals_the_frame_across_blocks(gl, hills):
     scene = hills(225.0, 22.0)
     view = nodes_of(scene)
     plan = plan_of(scene, view)
@@ -55,7 +55,7 @@ def test_blocks_by_heights_are_one_frame(gl, hills):
     done: list[tuple[int, int]] = []
     shown, frame = draw(scene, view, plan, SHADED, lambda *count: done.append(count)), render_frame(scene, view, plan)
     assert shown.color is not None and shown.opacity is not None and shown.reach is not None
-    # Casters are looked for from the ground that a block shows, not from its whole square: up to a hundredth less far here.
+    # The search for casters starts at the ground that a block shows, not at its whole square: up to a hundredth less far here.
     assert shown.reach.used_m == pytest.approx(frame.reach.used_m, rel=0.02) and shown.reach.clipped == frame.reach.clipped
     assert len(done) > 1 and done[-1][0] == done[-1][1] == len(done)
     np.testing.assert_array_equal(shown.valid, frame.valid)
@@ -66,8 +66,8 @@ def test_blocks_by_heights_are_one_frame(gl, hills):
 
 
 @pytest.mark.parametrize("altitude", [8.0, 30.0, -3.0])
-def test_visibility_by_heights_is_that_of_frames(gl, hills, altitude):
-    """But for points in grazing light, which rounding decides: of the same points one way says lit and the other shadow."""
+def test_draw_visibility_by_heights_equals_the_frame(gl, hills, altitude):
+    """Points in grazing light may differ by rounding: one method finds them lit, the other in shadow."""
     scene = hills(225.0, altitude)
     view = nodes_of(scene)
     plan = plan_of(scene, view)
@@ -82,8 +82,8 @@ def test_visibility_by_heights_is_that_of_frames(gl, hills, altitude):
     assert set(record.name for record in lit.passes) <= set(plan.passes)
 
 
-def test_a_block_whose_triangles_count_is_drawn_by_a_frame(gl, hills, monkeypatch):
-    """Heights may turn out not to suffice for one block of several."""
+def test_draw_falls_back_to_frames_for_single_blocks(gl, hills, monkeypatch):
+    """Heights may turn out not to suffice for one of several blocks."""
     scene = hills(225.0, 22.0)
     view = nodes_of(scene)
     plan, by_heights = plan_of(scene, view), module.ground_picture
@@ -102,7 +102,7 @@ def test_a_block_whose_triangles_count_is_drawn_by_a_frame(gl, hills, monkeypatc
 
 
 @pytest.mark.parametrize("needs", [SHADED, LIT])
-def test_off_the_data_nothing_is_shown(gl, hills, needs: Needs):
+def test_draw_off_the_data_is_empty(gl, hills, needs: Needs):
     scene = hills(225.0, 22.0)
     near = nodes_of(scene, 60, 80)
     far = MapView(near.grid, near.row0, near.col0 + 20 * BLOCK_PX, 1.0, 1.0, 60, 80)
@@ -112,7 +112,7 @@ def test_off_the_data_nothing_is_shown(gl, hills, needs: Needs):
     assert picture.visibility is None or np.isnan(picture.visibility).all()
 
 
-def test_too_many_pixels_are_refused(hills):
+def test_draw_refuses_too_many_pixels(hills):
     scene = hills(225.0, 22.0)
     view = nodes_of(scene, 60, 80)
     with pytest.raises(InputError, match="size"):

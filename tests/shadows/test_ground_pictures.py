@@ -1,4 +1,4 @@
-"""Maps of bare ground that are drawn without a geometry buffer: they show what ``render_frame`` does."""
+"""Maps of bare ground without a geometry buffer: they equal the results of ``render_frame``."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from tests.products import drawn, drawn_by_heights
 from tests.render import plan_of
 
 MAX_DIFFERING = 1e-4
-"""Share of the pixels whose colour may be another step of 255: shares of the sky are rounded before they are multiplied."""
+"""Share of the pixels whose colour may differ by a step of 255: shares of the sky are rounded before the multiplication."""
 
 SUNS = ((225.0, 22.0), (180.0, 4.0), (91.0, 2.0), (20.0, 65.0), (300.0, -3.0))
-"""Azimuth and altitude: noon, lines that lean, grazing light, a high sun, and none."""
+"""Azimuth and altitude: noon, slanted lines, grazing light, a high sun, and night."""
 
 PLACES = quick(
     [(10, 0, 0), (12, 0, 0), (13, 0, 0), (13, -300, -300), (14, 0, 0), (15, 800, 0)], (12, 0, 0)
 )  # fmt: skip
-"""Zooms, and pixels beside the level's middle: coarse pixels, those of the data's size, and magnified ones."""
+"""Zoom, and offset in pixels from the level's middle: coarse pixels, pixels of the data's size, and magnified ones."""
 
 
 def view_of(scene: Scene, zoom: int, rows: int = 0, cols: int = 0) -> MapView:
-    """The block of tiles that holds a level's middle, or the pixel so far from there."""
+    """Return the block of tiles that holds a level's middle, or the pixel at an offset from it."""
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
     row, col = (BLOCK_PX * np.floor(place / BLOCK_PX) for place in ((north + south) / 2 + rows, (west + east) / 2 + cols))
@@ -41,7 +41,7 @@ def view_of(scene: Scene, zoom: int, rows: int = 0, cols: int = 0) -> MapView:
 
 @pytest.fixture
 def hills(write_raster, make_scene):
-    """Rough ground of 200 x 200 cells of 30 m, with a hole in it, under a sun."""
+    """Return rough ground of 200 x 200 cells of 30 m, with a hole in it, under a sun."""
 
     def make(azimuth: float, altitude: float, **keys) -> Scene:
         row, col = np.mgrid[:200, :200]
@@ -57,7 +57,7 @@ def hills(write_raster, make_scene):
 
 @pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
 @pytest.mark.parametrize(("zoom", "rows", "cols"), PLACES)
-def test_they_show_what_geometry_buffers_do(gl, hills, azimuth, altitude, zoom, rows, cols):
+def test_ground_picture_equals_the_frame(gl, hills, azimuth, altitude, zoom, rows, cols):
     scene = hills(azimuth, altitude)
     view = view_of(scene, zoom, rows, cols)
     plan = plan_of(scene, view)
@@ -67,7 +67,7 @@ def test_they_show_what_geometry_buffers_do(gl, hills, azimuth, altitude, zoom, 
     assert np.array_equal(shown.valid, frame.valid)
     if scene.sun_is_up:
         assert np.array_equal(shown.opacity, frame.opacity)
-    else:  # there coarse pixels without a node that shows ground count as lit, but here by night
+    else:  # by day, coarse pixels without a valid node count as lit; here it is night
         assert (shown.opacity[shown.valid] == 255).all() and (shown.opacity == frame.opacity).mean() > 0.999
     apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
     assert apart.max() <= 1 and (apart > 0).mean() <= MAX_DIFFERING
@@ -76,8 +76,8 @@ def test_they_show_what_geometry_buffers_do(gl, hills, azimuth, altitude, zoom, 
 
 @pytest.mark.parametrize(("style", "exaggeration"), [("swiss", 2.5), ("urban", None), ("analysis", None)])
 @pytest.mark.parametrize("altitude", [4.0, 22.0])
-def test_they_have_a_styles_colours(gl, hills, style, exaggeration, altitude):
-    """Slopes that are exaggerated or limited, the veil of air, Lambert's law alone."""
+def test_ground_picture_has_the_colours_of_a_style(gl, hills, style, exaggeration, altitude):
+    """The styles exaggerate or limit slopes, add aerial haze, or use Lambert's law alone."""
     scene = hills(225.0, altitude).with_style(style, exaggeration)
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
@@ -87,15 +87,15 @@ def test_they_have_a_styles_colours(gl, hills, style, exaggeration, altitude):
     assert apart.max() <= 1 and (apart > 0).mean() <= MAX_DIFFERING
 
 
-def test_shadow_is_in_them(gl, hills):
-    """The comparison sees something: opacity from none to all, and colours of many heights."""
+def test_ground_picture_contains_shadow(gl, hills):
+    """The comparisons are not vacuous: opacity ranges from 0 to 255, and heights give many colours."""
     shown = drawn(scene := hills(225.0, 22.0), view := view_of(scene, 13), plan_of(scene, view))
     assert {0, 255} < set(np.unique(shown.opacity)) and len(np.unique(shown.color.reshape(-1, 3), axis=0)) > 1000
 
 
 @pytest.mark.parametrize("zoom", [10, 12, 14])
-def test_gentle_ground_under_a_high_sun_is_lit(gl, write_raster, make_scene, zoom):
-    """Nothing casts, nothing is turned away, and no geometry buffer is needed to know it."""
+def test_ground_picture_of_gentle_ground_is_lit(gl, write_raster, make_scene, zoom):
+    """Nothing casts and nothing faces away. No geometry buffer is needed to know this."""
     heights = np.random.default_rng(7).normal(500.0, 2.0, (120, 120)).astype(np.float32)
     heights[:, :7] = np.nan
     scene = make_scene(write_raster(heights, "EPSG:32633", 420_000.0, 5_200_000.0, 30.0, nodata=np.nan), 160.0, 50.0)
@@ -108,7 +108,7 @@ def test_gentle_ground_under_a_high_sun_is_lit(gl, write_raster, make_scene, zoo
     assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
     assert [each.name for each in shown.passes] == plan.passes
     steep = make_scene(scene.elevation.name, 160.0, 1.0, effects={"cast_shadows": "off"})
-    assert drawn_by_heights(steep, view, plan_of(steep, view)) is None  # its triangles have to be looked at
+    assert drawn_by_heights(steep, view, plan_of(steep, view)) is None  # this needs the triangles
 
 
 ELSE = {
@@ -118,7 +118,7 @@ ELSE = {
 
 
 @pytest.mark.parametrize("keys", ELSE.values(), ids=ELSE)
-def test_what_else_a_level_has_is_drawn_elsewhere_or_the_same(gl, hills, keys):
+def test_ground_picture_with_other_level_settings(gl, hills, keys):
     scene = hills(225.0, 22.0, **keys)
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
@@ -130,8 +130,8 @@ def test_what_else_a_level_has_is_drawn_elsewhere_or_the_same(gl, hills, keys):
 
 @pytest.mark.parametrize("altitude", [4.0, 22.0, 65.0, -3.0])
 @pytest.mark.parametrize("size", [(150, 150), (331, 207), (900, 900)])
-def test_pixels_between_nodes_show_what_geometry_buffers_do(gl, hills, altitude, size):
-    """Coarse pixels, those of about the data's size, and magnified ones, of which none lies on a node: to the bit."""
+def test_ground_picture_between_nodes_equals_the_frame(gl, hills, altitude, size):
+    """Pixels are coarse, of about the data's size, or magnified. None lies on a node, and all are equal to the bit."""
     scene = hills(225.0, altitude)
     view = scene.view(size=size)
     assert isinstance(view, MapView) and not view.on_nodes
@@ -143,7 +143,7 @@ def test_pixels_between_nodes_show_what_geometry_buffers_do(gl, hills, altitude,
         assert len(np.unique(frame.opacity)) > 2
 
 
-def test_ground_between_nodes_is_made_once_for_all_suns(gl, hills, monkeypatch):
+def test_ground_picture_caches_its_ground_for_all_suns(gl, hills, monkeypatch):
     scene = hills(225.0, 22.0)
     view = scene.view(size=(90, 90))
     made: list[MapView] = []
@@ -154,15 +154,15 @@ def test_ground_between_nodes_is_made_once_for_all_suns(gl, hills, monkeypatch):
     assert len(made) == 1
 
 
-def test_off_the_ground_they_are_empty(gl, hills):
+def test_ground_picture_off_the_ground_is_empty(gl, hills):
     scene = hills(225.0, 22.0)
     view = view_of(scene, 13, rows=2000)
     shown = drawn(scene, view, plan_of(scene, view))
     assert not shown.valid.any() and not shown.color.any() and not shown.opacity.any()
 
 
-def test_ground_one_node_wide_goes_by_its_triangles(gl, write_raster, make_scene):
-    """It has no smooth normal: a geometry buffer takes that of the triangles beside it."""
+def test_ground_picture_of_one_node_wide_ground(gl, write_raster, make_scene):
+    """Such ground has no smooth normal. A geometry buffer uses the normal of the adjacent triangles."""
     heights = np.full((64, 64), np.nan, np.float32)
     heights[:, 20] = heights[30, :] = 500.0
     heights[31, 10:50] = 480.0

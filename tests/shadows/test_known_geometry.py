@@ -1,4 +1,4 @@
-"""Shadows whose outline is known in closed form (in every kind of CRS: ``tests.hard_cases.test_places``)."""
+"""Shadow outlines in closed form. ``tests.hard_cases.test_places`` has them for every kind of CRS."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def block_raster(write_raster: Callable[..., Path], crs: str, x: float, y: float
 
 
 def beyond(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """Metres by which points (..., 2) lie outside the convex hull of an outline (n, 2); negative inside."""
+    """Return the distance of points (..., 2) outside the convex hull of an outline (n, 2) in metres; negative inside."""
     hull = ConvexHull(outline)
     return np.max(points @ hull.equations[:, :2].T + hull.equations[:, 2], axis=-1)
 
 
 def check_block(scene: Scene, view: MapView, to_local: Callable, corners: np.ndarray, azimuth: float) -> None:
-    """The block's shadow on the ground lies between two outlines: that of its roof, and that of its roof and its foot.
+    """Check that the block's shadow on the ground lies between the outlines of its roof, and of its roof and foot.
 
-    The foot is one cell wider than the roof on each side, since a raster's walls are a cell wide.
+    The foot is one cell wider than the roof on each side, because a raster's walls are a cell wide.
     """
     plan = plan_of(scene, view, filter=1, map_size=1024)
     texel = plan.settings["sun"]["relief"].cascades[0].texel_m
@@ -62,15 +62,15 @@ def check_block(scene: Scene, view: MapView, to_local: Callable, corners: np.nda
 
 
 @pytest.mark.parametrize("azimuth", [180.0, 222.0])
-def test_block_in_an_engineering_crs(gl, azimuth, write_raster, make_scene):
+def test_shadow_of_a_block_in_an_engineering_crs(gl, azimuth, write_raster, make_scene):
     scene = make_scene(block_raster(write_raster, ENGINEERING, 0.0, 0.0, 10.0), azimuth, ALTITUDE)
     view = scene.view(bounds=(-300, -300, 300, 300), size=(700, 700))
     check_block(scene, view, lambda x, y: (x, y), 10.0 * CORNERS, azimuth)
 
 
 @pytest.mark.parametrize(("step_m", "end_m"), [(0.0, 150.5 - 30.0 / TAN), (10.0, 150.5 - 20.0 / TAN)])
-def test_wall_and_step_in_closed_form(gl, step_m, end_m, write_raster, make_scene):
-    """A wall throws h / tan(a) across level ground, and what it throws onto a step is shorter by the step's height."""
+def test_shadow_of_a_wall_on_level_ground_and_a_step(gl, step_m, end_m, write_raster, make_scene):
+    """A wall casts h / tan(a) across level ground. On a step the shadow is shorter by the step's height."""
     heights = np.zeros((41, 201), np.float32)
     heights[:, 150:153] = 30.0  # the wall's western upper edge lies at the centre of cell 150: x = 150.5
     heights[:, :125] = step_m
@@ -83,8 +83,8 @@ def test_wall_and_step_in_closed_form(gl, step_m, end_m, write_raster, make_scen
 
 
 @pytest.mark.parametrize("pixel_m", [10.0, 2.0])
-def test_far_ridge_shades_a_tile_and_a_cut_raster_says_so(gl, pixel_m, write_raster, make_scene):
-    """A ridge of 1,500 m, 39 km outside the view, at 2 degrees: its shadow ends where the closed form on a sphere says."""
+def test_shadow_of_a_far_ridge_and_a_clipped_reach(gl, pixel_m, write_raster, make_scene):
+    """A ridge of 1,500 m lies 39 km outside the view, under a sun at 2 degrees. Its shadow ends at the closed form on a sphere."""
     cell, rows, cols = 100.0, 400, 1000
     heights = np.zeros((rows, cols), np.float32)
     heights[:, 498:503] = 1500.0
@@ -98,7 +98,7 @@ def test_far_ridge_shades_a_tile_and_a_cut_raster_says_so(gl, pixel_m, write_ras
     for name, first in (("whole", 0), ("cut", 600)):
         raster = write_raster(heights[:, first:], "EPSG:32633", x0 + first * cell, y0, cell, name=f"{name}.tif")
         scene = make_scene(raster, 270.0, 2.0)
-        # Angles are given at the anchor, which the cut moves: the sun of the whole raster is the one meant.
+        # Sun angles count at the anchor, which the cut moves. The test means the sun of the whole raster.
         frames.append((scene, render_points(scene, scene.view(bounds=bounds, size=(512, 512)), filter=1)))
     (scene, whole), (_, cut) = frames
     assert not whole.reach.clipped and whole.reach.needed_m == pytest.approx(39_000, abs=1500)
@@ -107,9 +107,10 @@ def test_far_ridge_shades_a_tile_and_a_cut_raster_says_so(gl, pixel_m, write_ras
     assert not shadow(cut).any()
 
 
-def test_a_view_in_which_nothing_casts_says_how_far_ground_would_count(gl, write_raster, make_scene):
-    """Level ground that ends 700 m towards the sun: a mountain beyond could shade it, and nobody knows of one. It is told from some
-    of a picture's points as from all of them.
+def test_reach_without_casters_reports_missing_ground(gl, write_raster, make_scene):
+    """Level ground ends 700 m towards the sun, and an unknown mountain beyond could shade it.
+
+    Some of a picture's points give the same reach as all of them.
     """
     raster = write_raster(np.zeros((120, 120), np.float32), "EPSG:32633", 450_000.0, 5_020_000.0, 30.0)
     to_degrees = transformer(CRS.from_epsg(32633), LONGITUDE_LATITUDE).transform

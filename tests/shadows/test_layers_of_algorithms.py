@@ -1,4 +1,4 @@
-"""Intermediate pictures that algorithms leave behind: only where they are asked for, as drawn, and refused with a sentence."""
+"""Layers of algorithms: created only on request, with the drawn values, and refused with a reason where no algorithm has them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov":
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory):
-    """``build(at, azimuth)`` builds the scene of a figure on a flat floor, under a sun, a spot and an omni light."""
+    """Return ``build(at, azimuth)``, the scene of a figure on a flat floor, under a sun, a spot and an omni light."""
 
     def level(at: tuple[float, float] = (0.0, 0.0), azimuth: float = 200.0) -> Scene:
         path = tmp_path_factory.mktemp("layers") / "figure.yaml"
@@ -59,13 +59,13 @@ def with_layers(scene: Scene, *layers: str, view=None, **overrides) -> Frame:
 
 
 def pass_picture(layer: str, array: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """An intermediate picture as PNG shows it over the frame's colour."""
+    """Return a layer as the picture that PNG shows over the frame's colour."""
     to_picture = PRODUCTS[layer].to_picture
     return array if to_picture is None else to_picture(array, color)
 
 
 def write_pass_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
-    """Write an intermediate picture of a frame."""
+    """Write a layer of a frame to a file."""
     array, format = product_of_frame(scene, frame, layer), path.suffix[1:]
     shown = array if format == "npy" else pass_picture(layer, array, frame.color)
     path.write_bytes(encode_exactly(shown, PRODUCTS[layer], format, frame.view))
@@ -74,8 +74,8 @@ def write_pass_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None
 # -- the mechanism
 
 
-def test_nothing_is_made_that_nobody_asked_for(gl, scene, monkeypatch):
-    """A layer costs nothing unless it is wanted: the picture is not even read back."""
+def test_pass_log_creates_only_requested_layers(gl, scene, monkeypatch):
+    """A layer that nobody requests costs nothing: its picture is not even read back."""
     made = []
     log = PassLog()
     log.keep("stencil", SUN, made.append, 1)
@@ -98,7 +98,7 @@ def test_nothing_is_made_that_nobody_asked_for(gl, scene, monkeypatch):
     assert [record.name for record in kept.passes] == kept.plan.passes
 
 
-def test_pictures_are_laid_out_beside_one_another():
+def test_tiled_pictures_are_laid_out_side_by_side():
     one, two, three = np.full((2, 3), 1.0, np.float32), np.full((3, 1), 2.0, np.float32), np.full((1, 1), 3.0, np.float32)
     np.testing.assert_array_equal(tiled_pictures([one]), one)
     out = tiled_pictures([one, two, three])
@@ -108,8 +108,8 @@ def test_pictures_are_laid_out_beside_one_another():
     assert out[3, 0] == 3.0 and np.isfinite(out).sum() == one.size + two.size + three.size
 
 
-def test_pictures_of_pixels_lie_where_their_blocks_do():
-    """Samples of pixels below a block's own rows are left out; what no block covers is 0 or NaN."""
+def test_layer_collector_places_blocks():
+    """Sample rows below a block's own rows are dropped. Pixels without a block are 0 or NaN."""
     kept = LayerCollector((4, 5))
     ours, theirs = (slice(1, 3), slice(2, 5)), (slice(0, 2), slice(1, 4))
     block = np.arange(20, dtype=np.uint8).reshape(5, 4)
@@ -120,7 +120,7 @@ def test_pictures_of_pixels_lie_where_their_blocks_do():
     assert np.isnan(whole["shadow-height"][SUN]).sum() == 20 - 6
 
 
-def test_more_texels_than_a_picture_holds_are_refused(monkeypatch):
+def test_layer_collector_refuses_too_many_texels(monkeypatch):
     monkeypatch.setattr(layer_collector, "MAX_TEXELS", 100)
     kept, nowhere = LayerCollector((4, 4)), (slice(0, 0), slice(0, 0))
     kept.add({("shadow-map", SUN): [np.zeros((10, 10), np.float32)]}, nowhere, nowhere)
@@ -128,11 +128,11 @@ def test_more_texels_than_a_picture_holds_are_refused(monkeypatch):
         kept.add({("shadow-map", SUN): [np.zeros((1, 1), np.float32)]}, nowhere, nowhere)
 
 
-# -- what is in them
+# -- content of layers
 
 
-def test_every_light_leaves_its_maps(gl, scene):
-    """A sun's map for each cascade, one of a spot, six of an omni light; depths as drawn, nearest 0."""
+def test_shadow_map_layer_of_each_light(gl, scene):
+    """A sun has a map for each cascade, a spot one, an omni light six. Depths are as drawn, nearest 0."""
     frame = with_layers(scene, "shadow-map", algorithm="shadow_map", map_size=256, cascades=2)
     maps = frame.layers["shadow-map"]
     assert set(maps) == {SUN, "spot", "omni"}
@@ -144,8 +144,8 @@ def test_every_light_leaves_its_maps(gl, scene):
     assert product_of_frame(scene, frame.under("omni"), "shadow-map") is maps["omni"]
 
 
-def test_a_sun_s_map_has_the_light_s_up_above(gl, build):
-    """The sun in the south: what stands farther north, and is farther away from it, appears higher up."""
+def test_shadow_map_layer_of_a_sun_has_its_up_on_top(gl, build):
+    """The sun stands in the south. A body farther north, and so farther from the sun, appears higher up."""
     middle = []
     for y in (-30.0, 30.0):
         scene = build((0.0, y), 180.0)
@@ -156,7 +156,7 @@ def test_a_sun_s_map_has_the_light_s_up_above(gl, build):
     assert middle[0] > middle[1] + 0.2
 
 
-def test_the_blocks_of_a_map_lie_side_by_side(gl, scene, monkeypatch):
+def test_layers_of_map_blocks_lie_side_by_side(gl, scene, monkeypatch):
     monkeypatch.setattr("skugga.terrain.geo.grid.BLOCK_PX", 32)
     view = scene.view(bounds=(-20, -20, 20, 20), size=(50, 60))
     overrides = {"sun": "planar", "spot": "shadow_map", "omni": "none"}
@@ -171,15 +171,16 @@ def test_the_blocks_of_a_map_lie_side_by_side(gl, scene, monkeypatch):
 
 
 def facing(scene: Scene, view: MapView | PerspectiveView, light: str) -> np.ndarray:
-    """Where floor is seen that a light would reach if nothing cast."""
+    """Return where a visible floor would be lit without casters."""
     plain = with_layers(scene, view=view, algorithm="none")
     return plain.valid & (plain.height_m == 0.0) & (plain.visibilities[light] > 0.5)
 
 
 @pytest.mark.parametrize(("view", "light"), [("eye", SUN), ("eye", "spot"), ("eye", "omni"), ("map", SUN)])
-def test_what_volumes_leave(gl, scene, view, light):
-    """The stencil counts the volumes that hold a point. A ray from an eye outside of them meets a face on its way into each, and
-    two of each that it goes through.
+def test_shadow_volume_layers_are_consistent(gl, scene, view, light):
+    """The stencil counts the volumes that contain a point.
+
+    From an eye outside, a ray meets one face for each volume that it enters, and two for each volume that it crosses.
     """
     seen = scene.view("eye") if view == "eye" else scene.view(bounds=(-30, -30, 30, 30), size=(90, 90))
     choice = {each: "none" for each in (SUN, "spot", "omni")} | {light: "shadow_volume"}
@@ -195,8 +196,8 @@ def test_what_volumes_leave(gl, scene, view, light):
     assert (faces > stencil)[floor].any() and set(np.unique(silhouettes)) == {0, 255}
 
 
-def test_what_a_hybrid_leaves(gl, scene):
-    """Its silhouettes are the pixels that it marks, and it counts in no other."""
+def test_hybrid_layers_are_consistent(gl, scene):
+    """The silhouettes are the marked pixels, and the stencil counts in no other pixel."""
     choice = {SUN: "hybrid", "spot": "none", "omni": "none"}
     frame = with_layers(scene, "stencil", "silhouettes", "volumes", "shadow-map", algorithm=choice)
     stencil, marks, faces, depths = (frame.layers[each][SUN] for each in ("stencil", "silhouettes", "volumes", "shadow-map"))
@@ -209,15 +210,15 @@ def test_what_a_hybrid_leaves(gl, scene):
     np.testing.assert_array_equal(faces, plain.layers["volumes"][SUN])
 
 
-def test_a_perspective_map_leaves_its_depths(gl, scene):
+def test_perspective_shadow_map_layer_has_its_depths(gl, scene):
     choice = {SUN: "perspective_shadow_map", "spot": "perspective_shadow_map", "omni": "none"}
     maps = with_layers(scene, "shadow-map", algorithm=choice, map_size=128).layers["shadow-map"]
     for light in (SUN, "spot"):
         assert maps[light].shape == (128, 128) and 0.0 <= maps[light].min() < maps[light].max() == 1.0
 
 
-def test_a_picture_of_volumes_covers_what_is_behind_them():
-    """n faces cover four fifths of 1 - 0.88^n; under volumes beside one another the frame is repeated."""
+def test_volumes_picture_blends_over_the_frame():
+    """n faces cover four fifths of 1 - 0.88^n. Under adjacent pictures of volumes the frame is repeated."""
     ground = np.full((1, 3, 3), 100, np.uint8)
     counts = np.array([[0, 1, 255]], np.uint8)
     picture = pass_picture("volumes", counts, ground)
@@ -230,8 +231,8 @@ def test_a_picture_of_volumes_covers_what_is_behind_them():
 # -- files
 
 
-def test_files_of_volumes(gl, scene, tmp_path):
-    """Exact in .npy; in .png edges are white on black, counts are spread, and volumes lie over the frame."""
+def test_volume_layers_in_npy_and_png(gl, scene, tmp_path):
+    """Values are exact in .npy. In .png, edges are white on black, counts are scaled, and volumes lie over the frame."""
     frame = with_layers(scene, "stencil", "silhouettes", "volumes", algorithm={SUN: "shadow_volume"})
     for layer in ("stencil", "silhouettes", "volumes"):
         for format in PRODUCTS[layer].formats:
@@ -246,19 +247,19 @@ def test_files_of_volumes(gl, scene, tmp_path):
     assert 0.05 < clear.mean() < 0.99
 
 
-def test_volumes_of_two_algorithms_stand_beside_one_another(gl, scene, tmp_path):
+def test_volume_layers_of_two_algorithms_lie_side_by_side(gl, scene, tmp_path):
     choice = {SUN: {"relief": "shadow_volume", "meshes": "hybrid"}, "spot": "none", "omni": "none"}
     frame = with_layers(scene, "volumes", algorithm=choice)
     write_pass_layer(scene, frame, "volumes", tmp_path / "two.png")
     picture = np.asarray(Image.open(tmp_path / "two.png"))
     rows, cols = frame.valid.shape
     assert picture.shape == (rows, 2 * cols, 3)
-    np.testing.assert_array_equal(picture[:, :cols], frame.color)  # a level floor has no volume
+    np.testing.assert_array_equal(picture[:, :cols], frame.color)  # level ground has no volume
     assert (picture[:, cols:] != frame.color).any()
 
 
-def test_files_of_layers(gl, scene, tmp_path):
-    """Depths as 16-bit gray, nearest brightest; the stencil spread over eight bits; both exact in .npy."""
+def test_shadow_map_and_stencil_layers_in_npy_and_png(gl, scene, tmp_path):
+    """Depths are 16-bit gray, nearest brightest; the stencil is scaled to eight bits. Both are exact in .npy."""
     frame = with_layers(scene, "shadow-map", "stencil", algorithm={"sun": "planar", "spot": "shadow_map"}, map_size=128)
     for layer, light in (("stencil", SUN), ("shadow-map", "spot")):
         for format in PRODUCTS[layer].formats:
@@ -275,7 +276,7 @@ def test_files_of_layers(gl, scene, tmp_path):
     assert pass_picture("stencil", np.zeros((1, 2), np.uint8), frame.color).tolist() == [[0, 0]]
 
 
-def test_every_layer_of_an_algorithm_is_a_product():
+def test_algorithm_layers_are_products():
     left = {layer for algorithm in ALGORITHMS.values() for layer in algorithm.layers}
     assert left == {name for name, product in PRODUCTS.items() if product.pass_layer == name}
 
@@ -298,21 +299,21 @@ def test_every_layer_of_an_algorithm_is_a_product():
         ),
     ],
 )
-def test_a_layer_that_nothing_leaves_is_refused_before_anything_is_drawn(scene, algorithm, layer, words, monkeypatch):
+def test_layer_without_an_algorithm_is_refused_before_drawing(scene, algorithm, layer, words, monkeypatch):
     monkeypatch.setattr("skugga.shadows.render.render_block", None)
     with pytest.raises(UnsupportedError) as caught:
         with_layers(scene, layer, algorithm=algorithm)
     assert layer in str(caught.value) and words in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_layer_of_another_light_is_refused_by_name(gl, scene):
+def test_layer_of_another_light_is_refused(gl, scene):
     frame = with_layers(scene, "stencil", algorithm={"sun": "none", "spot": "planar", "omni": "none"})
     assert product_of_frame(scene, frame.under("spot"), "stencil").max() == 2
     with pytest.raises(InputError, match="light: 'sun'.*spot for layer stencil"):
         product_of_frame(scene, frame, "stencil")
 
 
-def test_a_view_of_nothing_has_no_maps(gl, scene, tmp_path):
+def test_shadow_map_layer_of_an_empty_view_is_refused(gl, scene, tmp_path):
     view = map_view(scene.world, scene.world.crs, (9000.0, 9000.0, 9050.0, 9050.0), rows=48, cols=48)
     frame = with_layers(scene, "shadow-map", view=view, algorithm={"sun": "shadow_map"})
     with pytest.raises(InputError, match="no light has a layer shadow-map"):

@@ -1,4 +1,4 @@
-"""Edges in maps are anti-aliased where they are looked at, and nowhere else."""
+"""Map edges: anti-aliased in displayed pictures, and nowhere else."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from tests.render import plan_of, render
 SIDE_M = 96
 
 FEW_PX = 48
-"""Side of pictures that are compared to the bit with each other."""
+"""Side of the pictures that are compared to the bit."""
 
 
 @pytest.fixture
 def ridge(write_raster, make_scene) -> Scene:
-    """A straight ridge across a plain, whose shadow's edge is straight and slants through the pixels."""
+    """Return a straight ridge across a plain. The edge of its shadow is straight and oblique to the pixels."""
     x, y = np.meshgrid(np.arange(SIDE_M) + 0.5, SIDE_M - 0.5 - np.arange(SIDE_M))
     heights = np.clip(12.0 - np.abs((x - 60.0) * np.cos(0.4) + (y - 48.0) * np.sin(0.4)), 0.0, None)
     return make_scene(write_raster(heights.astype(np.float32), ENGINEERING, 0.0, float(SIDE_M), 1.0), 90.0, 20.0)
@@ -38,7 +38,7 @@ def ridge(write_raster, make_scene) -> Scene:
 
 @pytest.fixture
 def tower(write_raster, make_scene, tmp_path) -> Scene:
-    """A white tower, turned, on a plain."""
+    """Return a white tower, turned, on a plain."""
     trimesh.creation.box(extents=(17.0, 17.0, 20.0)).export(tmp_path / "tower.obj")
     meshes = [{"source": "tower.obj", "at": [10, 0], "turn": 17, "color": [0.95, 0.95, 0.95]}]
     floor = write_raster(np.zeros((SIDE_M, SIDE_M), np.float32), ENGINEERING, 0.0, float(SIDE_M), 1.0)
@@ -55,7 +55,7 @@ def with_points(scene: Scene, view: MapView, **overrides) -> Frame:
 
 @pytest.fixture(scope="module")
 def shares() -> dict[int, np.ndarray]:
-    """How much of each pixel of the ridge's view is lit, by 16 x 16 points, made once for a view of so many pixels a side."""
+    """Return a cache of the lit share of each pixel of the ridge's view, by 16 x 16 points, for each number of pixels a side."""
     return {}
 
 
@@ -66,14 +66,14 @@ def means(values: np.ndarray, side: int) -> np.ndarray:
 @pytest.mark.parametrize(("pixels", "algorithm"), [
     (96, "sweep"), (128, "sweep"), (70, "sweep"), (96, "shadow_map"), (96, "shadow_volume"), (96, "hybrid"), (96, "truth"),
 ])  # fmt: skip
-def test_what_is_shown_is_the_share_of_the_pixel_that_is_lit(gl, ridge, shares, pixels, algorithm):
-    """Against 16 x 16 points a pixel: nearer by far than one point is, and without a bias."""
+def test_shown_visibility_is_the_lit_share_of_a_pixel(gl, ridge, shares, pixels, algorithm):
+    """Against 16 x 16 points a pixel, the result is much closer than one point a pixel, and unbiased."""
     view = view_of(ridge, pixels)
     frame = render(ridge, view, algorithm=algorithm)
     if pixels not in shares:
         shares[pixels] = means(with_points(ridge, view.finer(16), algorithm="sweep").visibility, 16)
     exact = shares[pixels]
-    inside = binary_erosion(frame.height_m < 0.01, iterations=2)  # the plain: the ridge's own rounding is another matter
+    inside = binary_erosion(frame.height_m < 0.01, iterations=2)  # only the plain: the ridge has rounding of its surface
     partly = inside & (exact > 0.02) & (exact < 0.98)
     assert partly.sum() > 80
     shown, own = frame.shown_visibilities["sun"], frame.visibility
@@ -85,7 +85,7 @@ def test_what_is_shown_is_the_share_of_the_pixel_that_is_lit(gl, ridge, shares, 
 
 
 @pytest.mark.parametrize("algorithm", ["sweep", "shadow_map"])
-def test_masks_and_values_keep_to_the_pixels_own_points(gl, ridge, algorithm):
+def test_mask_and_value_layers_are_not_antialiased(gl, ridge, algorithm):
     view = view_of(ridge)
     shown, points = render(ridge, view, algorithm=algorithm), with_points(ridge, view, algorithm=algorithm)
     for layer in ("mask", "visibility", "depth"):
@@ -101,8 +101,8 @@ def test_masks_and_values_keep_to_the_pixels_own_points(gl, ridge, algorithm):
     assert not (changed & ~sampled).any()
 
 
-def test_an_outline_against_the_ground_is_between_its_colours(gl, tower):
-    """The roof stays white inside, and on its rim the picture is a mean of what the pixel covers, its ground among it."""
+def test_outline_of_a_mesh_is_antialiased(gl, tower):
+    """The roof stays white inside. On its rim the colour is a mean over the pixel, ground included."""
     view = view_of(tower)
     shown, points = render(tower, view, algorithm="shadow_map"), with_points(tower, view, algorithm="shadow_map")
     fine = geometry_buffer(tower, view.finer(16)).kind == MESHES
@@ -116,8 +116,8 @@ def test_an_outline_against_the_ground_is_between_its_colours(gl, tower):
     np.testing.assert_array_equal(shown.color[inside], points.color[inside])
 
 
-def test_edges_are_where_classes_or_things_change(ridge):
-    """By hand: beside a pixel whose class or thing differs, across corners too, and along the sides of a block."""
+def test_edge_pixels_lie_where_class_or_object_changes(ridge):
+    """Expected are pixels beside one of another class or object, also diagonally, and pixels along the sides of a block."""
     buffer = geometry_buffer(ridge, view_of(ridge, 12))
     lit = np.ones((12, 12), np.float32)
     lit[5, 5] = 0.0
@@ -137,24 +137,24 @@ def test_edges_are_where_classes_or_things_change(ridge):
     assert not edge_pixels(replace(buffer, valid=valid), [lit])[0].any()
 
 
-def test_an_edge_along_the_border_of_two_blocks(gl, ridge, monkeypatch):
-    """What is shown of a pixel does not depend on the part of a block that its samples are made with."""
+def test_antialiasing_is_independent_of_block_parts(gl, ridge, monkeypatch):
+    """The colour of a pixel does not depend on the part of a block that its samples are drawn with."""
     whole = render(ridge, view_of(ridge), algorithm="shadow_volume")
     monkeypatch.setattr(map_edges, "PART_PX", 17)
     parts = render(ridge, view_of(ridge), algorithm="shadow_volume")
     assert np.abs(whole.color.astype(int) - parts.color).max() <= 1 and (whole.opacity == parts.opacity).mean() > 0.999
 
 
-def test_nothing_is_sampled_where_nothing_ends(gl, write_raster, make_scene):
-    """A plain in the sun: colours, shadows and the drawn triangles are those of its own points but along the sides."""
+def test_antialiasing_leaves_a_plain_unchanged(gl, write_raster, make_scene):
+    """On a sunlit plain, colours, shadows and drawn triangles are those of the pixels' own points, except along the sides."""
     floor = write_raster(np.zeros((SIDE_M, SIDE_M), np.float32), ENGINEERING, 0.0, float(SIDE_M), 1.0)
     scene = make_scene(floor, 100.0, 40.0)
     frame = render(scene, view_of(scene), algorithm="shadow_map")
     assert (frame.opacity == 0).all() and np.ptp(frame.color.reshape(-1, 3).astype(int), axis=0).max() <= 1
 
 
-def test_lamps_and_the_sun_each_have_their_own(gl, tower):
-    """What is shown of one light is that of the frame under it alone."""
+def test_shown_visibility_is_kept_per_light(gl, tower):
+    """A frame under one light equals the part of that light in the whole frame."""
     frame = render(tower, view_of(tower), algorithm="shadow_map")
     again = frame.under("sun")
     assert list(again.shown_visibilities) == list(again.visibilities) == ["sun"]
@@ -163,7 +163,7 @@ def test_lamps_and_the_sun_each_have_their_own(gl, tower):
 
 @pytest.mark.parametrize("place", ["ridge", "tower"])
 @pytest.mark.parametrize("light", [(250, 12), (110, 40)])
-def test_points_are_looked_up_alike_among_all_and_one_after_another(gl, place, light, request, monkeypatch):
+def test_lookup_of_gathered_points_equals_all_points(gl, place, light, request, monkeypatch):
     scene = request.getfixturevalue(place).with_sun(SunSpec(azimuth=light[0], altitude=light[1]))
     gathered: list[int] = []
     in_rows = lookup._in_rows
@@ -180,7 +180,7 @@ def test_points_are_looked_up_alike_among_all_and_one_after_another(gl, place, l
 
 @pytest.mark.parametrize("place", ["ridge", "tower"])
 @pytest.mark.parametrize("filter", [1, 3, 5])
-def test_where_a_map_is_empty_nothing_but_time_is_saved(gl, place, filter, request, monkeypatch):
+def test_lookup_shortcut_for_empty_maps_keeps_the_picture(gl, place, filter, request, monkeypatch):
     scene = request.getfixturevalue(place)
     quick = render(scene, view_of(scene, FEW_PX), algorithm="shadow_map", filter=filter)
     program = type(gl).program

@@ -1,6 +1,6 @@
-"""What moves by the clock throws its shadow where it is then: boxes on paths under the sun, posts in the light of lamps that move.
+"""Shadows of moving meshes and lamps: boxes on paths under the sun, and posts in the light of moving lamps.
 
-Everything stands on level ground, so that each shadow is known: it is the outline of the box's corners as the light throws them.
+Everything stands on level ground, so each shadow is known: the outline of the box's projected corners.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from skugga.terrain.scene import Scene, build_scene
 from tests.render import render, render_points
 
 MARGIN_M = 0.35
-"""How near to an outline a pixel (0.5 m in the map) may be on the wrong side."""
+"""Distance from an outline within which a pixel (0.5 m in the map) may be wrong."""
 
 BOX_M = (4.0, 6.0, 3.0)
 
 AWAY = [{"seconds": 0, "position": [22, 20]}, {"seconds": 10, "position": [82, 60, 24]}]
-"""Half-way in place and height at half the time, since it starts and stops alike; its shadow falls west of it, by its height."""
+"""Start and stop are symmetric, so half the time is half-way in position and height. The shadow falls west by the height."""
 
 POST = {"source": "box.ply", "at": [50, 50]}
 
@@ -45,7 +45,7 @@ Build = Callable[..., Scene]
 
 @pytest.fixture
 def build(tmp_path: Path) -> Build:
-    """``build(**keys)``: the scene of a level over level ground of 200 m; the file beside it is a box on its base."""
+    """Return ``build(**keys)``: the scene of a level over level ground of 200 m, with a box on its base in a file beside it."""
     box = trimesh.creation.box(extents=BOX_M)
     box.apply_translation([0.0, 0.0, BOX_M[2] / 2])
     box.export(tmp_path / "box.ply")
@@ -70,13 +70,13 @@ def view_of(scene: Scene, kind: str) -> MapView | PerspectiveView:
 
 
 def corners(at: tuple[float, float, float]) -> np.ndarray:
-    """The corners (8, 3) of the box over a place."""
+    """Return the corners (8, 3) of the box at a position."""
     east, north, up = np.meshgrid(*[[-0.5, 0.5]] * 2, [0.0, 1.0])
     return np.column_stack([east.ravel(), north.ravel(), up.ravel()]) * BOX_M + at
 
 
 def thrown(points: np.ndarray, lamp: tuple[float, float, float] | None = None) -> shapely.Polygon:
-    """The shadow on the ground of what has these corners: under the sun from the east at 45 degrees, or in a lamp's light."""
+    """Return the shadow of corners on the ground: under the sun from the east at 45 degrees, or in a lamp's light."""
     if lamp is None:
         return shapely.convex_hull(shapely.multipoints(points[:, :2] - points[:, 2:] * [1.0, 0.0]))
     source = np.array(lamp)
@@ -85,7 +85,7 @@ def thrown(points: np.ndarray, lamp: tuple[float, float, float] | None = None) -
 
 
 def check_shadow(scene: Scene, frame: Frame, light: str, outline: shapely.Polygon, lit: shapely.Polygon | None = None) -> None:
-    """The ground within an outline is in a light's shadow, and (of what the light reaches, ``lit``) no other ground is."""
+    """Check that the ground within an outline is in a light's shadow, and no other ground that the light reaches (``lit``)."""
     position = frame_points(scene, frame)
     ground = (frame.height_m < 1e-3) & np.isfinite(frame.height_m)
     where = shapely.points(position[..., :2])
@@ -99,7 +99,7 @@ def check_shadow(scene: Scene, frame: Frame, light: str, outline: shapely.Polygo
 
 
 def frame_points(scene: Scene, frame: Frame) -> np.ndarray:
-    """East, north and height (rows, cols, 3) of a frame's pixels."""
+    """Return east, north and height (rows, cols, 3) of a frame's pixels."""
     buffer = geometry_buffer(scene, frame.view)
     return buffer.frame.points_to_earth(buffer.position_frame_m)
 
@@ -109,7 +109,7 @@ def frame_points(scene: Scene, frame: Frame) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["map", "perspective"])
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_a_box_on_a_path_throws_its_shadow_where_it_is(gl, build, algorithm, kind):
+def test_moving_box_casts_its_shadow_at_each_second(gl, build, algorithm, kind):
     scene = build(meshes=[on_path(*AWAY)])
     for seconds, at in ((0.0, (22, 20, 0)), (5.0, (52, 40, 12)), (10.0, (82, 60, 24)), (99.0, (82, 60, 24))):
         later = scene.at_second(seconds)
@@ -118,8 +118,8 @@ def test_a_box_on_a_path_throws_its_shadow_where_it_is(gl, build, algorithm, kin
         check_shadow(later, frame, SUN, thrown(corners(at)))
 
 
-def test_its_shadow_falls_into_a_view_that_it_is_far_from(gl, build):
-    """A box 60 m up, 60 m east of its shadow, and a map of the shadow alone."""
+def test_moving_box_casts_into_a_distant_view(gl, build):
+    """The box is 60 m high and 60 m east of its shadow. The map shows only the shadow."""
     keys = [{"seconds": 0, "position": [-90, 0, 9]}, {"seconds": 8, "position": [70, 10, 60]}]
     scene = build(meshes=[on_path(*keys)]).at_second(8.0)
     view = scene.view(bounds=(2, 2, 26, 26), size=(80, 80))
@@ -128,7 +128,7 @@ def test_its_shadow_falls_into_a_view_that_it_is_far_from(gl, build):
         check_shadow(scene, frame, SUN, thrown(corners((70, 10, 60))))
 
 
-def test_in_post_perspective_space_it_throws_its_shadow_where_it_is(gl, build):
+def test_moving_box_casts_in_perspective_shadow_maps(gl, build):
     scene = build(meshes=[on_path(*AWAY)])
     for seconds, at in ((5.0, (52, 40, 12)), (10.0, (82, 60, 24))):
         later = scene.at_second(seconds)
@@ -138,8 +138,8 @@ def test_in_post_perspective_space_it_throws_its_shadow_where_it_is(gl, build):
         check_shadow(later, frame, SUN, thrown(corners(at)))
 
 
-def test_a_point_is_in_its_shadow_while_it_is_there(build):
-    """By the rays of a point's report, which know no picture: as far west of it as it is high."""
+def test_moving_box_shades_a_point_report(build):
+    """Rays of a point report do not depend on pictures. The point lies as far west of the box as the box is high."""
     scene = build(meshes=[on_path(*AWAY)])
     for seconds, east, north in ((0.0, 19.5, 20.0), (5.0, 39.0, 40.0), (10.0, 57.0, 60.0)):
         for second in (0.0, 5.0, 10.0):
@@ -148,8 +148,8 @@ def test_a_point_is_in_its_shadow_while_it_is_there(build):
             assert sees_sun(around, np.array([90.0]), np.array([45.0])).tolist() == [second != seconds]
 
 
-def test_what_is_kept_of_one_second_is_not_shown_at_another(gl, build):
-    """To and fro, maps and volumes kept: each time as if that second were the first."""
+def test_moving_box_caches_are_keyed_by_second(gl, build):
+    """Seconds alternate with cached maps and volumes. Each picture equals the picture of its second with a fresh scene."""
     scene, fresh = build(meshes=[on_path(*AWAY)]), {}
     seconds = (0.0, 7.0, 0.0, 3.0, 7.0)
     for algorithm in ("shadow_map", "shadow_volume", "hybrid"):
@@ -164,7 +164,7 @@ def test_what_is_kept_of_one_second_is_not_shown_at_another(gl, build):
     assert (fresh[0.0].visibility != fresh[7.0].visibility).any()
 
 
-def test_a_level_says_that_it_moves_and_what_then_is_true(build):
+def test_descriptor_of_a_moving_level_follows_the_second(build):
     scene = build(meshes=[{**on_path(*AWAY), "scale": 4}])
     facts = {second: describe(scene.at_second(second), scene.view("eye"), "eye") for second in (0.0, 10.0)}
     assert all(each.moves for each in facts.values())
@@ -175,12 +175,12 @@ def test_a_level_says_that_it_moves_and_what_then_is_true(build):
     assert not describe(build(), build().view("eye"), "eye").moves
 
 
-# -- lamps that move
+# -- moving lamps
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_a_spot_that_moves_throws_a_post_s_shadow_from_where_it_is(gl, build, algorithm):
-    """Its target moves, too."""
+def test_moving_spot_casts_a_posts_shadow_at_each_second(gl, build, algorithm):
+    """The spot's target moves, too."""
     keys = [
         {"seconds": 0, "position": [20, 50, 12], "target": [54, 50, 0]},
         {"seconds": 6, "position": [60, 80, 18], "target": [50, 46, 0]},
@@ -200,8 +200,8 @@ def test_a_spot_that_moves_throws_a_post_s_shadow_from_where_it_is(gl, build, al
 
 
 @pytest.mark.parametrize("algorithm", ["shadow_map", "shadow_volume", "truth"])
-def test_an_omni_light_on_a_loop_throws_a_post_s_shadow_round(gl, build, algorithm):
-    """Round the post in a square, above the sea: at each corner, and once round from there."""
+def test_looping_omni_light_casts_a_posts_shadow_all_around(gl, build, algorithm):
+    """The light moves around the post in a square above sea level. The test takes each corner, also after whole loops."""
     ring = [(70, 70), (30, 70), (30, 30), (70, 30), (70, 70)]
     path = [{"seconds": 4 * n, "position": [*at, 9]} for n, at in enumerate(ring)]
     lamp = {"kind": "omni", "motion": {"path": path, "loop": True, "above": "sea"}}
@@ -215,8 +215,8 @@ def test_an_omni_light_on_a_loop_throws_a_post_s_shadow_round(gl, build, algorit
         check_shadow(later, frame, "lamp", thrown(corners((50, 50, 0)), at), lit=shapely.box(20, 20, 80, 80))
 
 
-def test_meshes_stay_what_they_are_where_lamps_alone_move(build):
-    """No copy of them is made for another second; and where nothing moves, not even of the scene."""
+def test_at_second_shares_meshes_if_only_lamps_move(build):
+    """A later second makes no copy of the meshes. Without any motion it makes no copy of the scene."""
     lamp = {"kind": "omni", "motion": {"path": [{"seconds": 0, "position": [0, 0, 9]}, {"seconds": 9, "position": [9, 0, 9]}]}}
     house = {"source": "box.ply", "at": [0, 0]}
     scene = build(meshes=[house], lights={"lamp": lamp, "other": {"kind": "omni", "position": [5, 5, 5]}})

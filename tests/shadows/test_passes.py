@@ -1,4 +1,4 @@
-"""What passes put on record of their draw calls: as many as were really made, the programs, and the textures these can read."""
+"""Pass records: the number of real draw calls, their programs, and the textures that these can read."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Build = Callable[..., Scene]
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory) -> Build:
-    """``build(trees, **keys)`` builds a level floor with a figure on it, and with some trees or none."""
+    """Return ``build(trees, **keys)``, a level floor with a figure on it, with or without trees."""
     folder: Path = tmp_path_factory.mktemp("passes")
     points = shapely.to_wkb([shapely.Point(12.0 - 9.0 * n, 14.0 - 4.0 * n) for n in range(3)])
     pyogrio.raw.write(folder / "trees.gpkg", points, [np.full(3, 6.0)], ["height"], geometry_type="Point", crs=ENGINEERING)
@@ -59,7 +59,7 @@ def build(tmp_path_factory) -> Build:
 
 
 def drawn(scene: Scene, view: str = "eye", **asked: Any) -> Frame:
-    """A frame of which nothing was kept from before."""
+    """Return a frame drawn with empty caches."""
     clear_caches("light")
     return again(scene, view, plan_of(scene, scene.view(view), **asked))
 
@@ -73,11 +73,11 @@ def record_of(frame: Frame, ending: str) -> PassRecord:
     return record
 
 
-# -- the record
+# -- pass records
 
 
-def test_a_pass_has_the_draws_between_its_beginning_and_its_end():
-    """Programs in the order of their first use, textures by the alphabet, neither twice."""
+def test_pass_record_counts_draws_within_the_pass():
+    """Programs are in the order of their first use, textures in alphabetical order, both without repetition."""
     log = PassLog()
     record_draw(TREES)
     with log.run("map") as record:
@@ -89,7 +89,7 @@ def test_a_pass_has_the_draws_between_its_beginning_and_its_end():
     assert record.textures == ("depth_map", "foliage", "position")
 
 
-def test_a_pass_that_is_entered_again_adds_up():
+def test_pass_record_adds_up_over_repeated_runs():
     log = PassLog()
     for programs in ((GROUND,), (), (TREES, GROUND), (LOOK_UP, TREES)):
         with log.run("map"):
@@ -103,7 +103,7 @@ def test_a_pass_that_is_entered_again_adds_up():
     assert (rays.draws, rays.programs, rays.textures) == (0, (), ())
 
 
-def test_a_pass_within_another_counts_in_both():
+def test_pass_record_of_nested_passes_counts_in_both():
     log = PassLog()
     with log.run("outer"):
         record_draw(GROUND)
@@ -113,7 +113,7 @@ def test_a_pass_within_another_counts_in_both():
     assert [(record.draws, record.programs) for record in log.records.values()] == [(3, ("ground", "trees")), (1, ("trees",))]
 
 
-def test_a_pass_that_fails_leaves_its_draws_on_record_and_no_more():
+def test_pass_record_of_a_failed_pass_keeps_its_draws():
     log = PassLog()
     with pytest.raises(ZeroDivisionError), log.run("map"):
         record_draw(GROUND)
@@ -122,7 +122,7 @@ def test_a_pass_that_fails_leaves_its_draws_on_record_and_no_more():
     assert log.records["map"].draws == 1 and log.records["map"].ms > 0.0
 
 
-def test_what_another_thread_draws_is_not_this_ones():
+def test_pass_record_ignores_other_threads():
     log = PassLog()
     with log.run("rays"):
         thread = threading.Thread(target=record_draw, args=(GROUND,))
@@ -131,7 +131,7 @@ def test_what_another_thread_draws_is_not_this_ones():
     assert log.records["rays"].draws == 0
 
 
-def test_records_survive_json():
+def test_pass_record_round_trips_through_json():
     record = PassRecord("map", draws=2, programs=("a b", "c"), textures=("foliage",), loops=("d",))
     lists = {"programs": record.programs, "textures": record.textures, "loops": record.loops}
     assert json.loads(json.dumps(asdict(record))) | lists == asdict(record)
@@ -158,8 +158,8 @@ ASKED: list[tuple[str, bool, dict[str, Any]]] = [
 @pytest.mark.parametrize(
     ("view", "trees", "asked"), ASKED, ids=lambda each: each.get("algorithm") if isinstance(each, dict) else None
 )
-def test_every_call_that_draws_is_on_record(gl, build, monkeypatch, view, trees, asked):
-    """Counted where OpenGL is called: none beside the record, none twice, nor one that was never made."""
+def test_pass_records_count_every_opengl_draw(gl, build, monkeypatch, view, trees, asked):
+    """Draws are counted at the OpenGL call: none is missing, none counts twice, and none was never made."""
     scene = build(trees, lights={"spot": SPOT} if asked["algorithm"] != "truth" else {})
     plan = plan_of(scene, scene.view(view), **asked)
     clear_caches("light")
@@ -175,7 +175,7 @@ def test_every_call_that_draws_is_on_record(gl, build, monkeypatch, view, trees,
     assert json.loads(json.dumps([asdict(record) for record in frame.passes]))
 
 
-def test_what_runs_without_opengl_opens_no_device_and_draws_nothing(write_raster, make_scene, monkeypatch):
+def test_sweep_opens_no_device_and_records_no_draws(write_raster, make_scene, monkeypatch):
     heights = np.zeros((40, 40), np.float32)
     heights[18:22] = 30.0
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 40, 1.0))
@@ -185,7 +185,7 @@ def test_what_runs_without_opengl_opens_no_device_and_draws_nothing(write_raster
     assert all((record.draws, record.programs, record.textures) == (0, (), ()) for record in frame.passes)
 
 
-def test_a_kept_map_is_not_drawn(gl, build):
+def test_cached_map_records_no_draws(gl, build):
     scene = build(trees=True)
     plan = plan_of(scene, scene.view("eye"), algorithm="shadow_map", map_size=256)
     clear_caches("light")
@@ -194,8 +194,8 @@ def test_a_kept_map_is_not_drawn(gl, build):
     assert (second.draws, second.programs, second.textures, second.kept > 0) == (0, (), (), True)
 
 
-def test_a_depth_map_reads_a_texture_for_its_leaves_alone(gl, build):
-    """Without a forest no texture unit can be read at all: nothing is alpha-tested."""
+def test_depth_map_reads_a_texture_only_for_foliage(gl, build):
+    """Without a forest, no texture unit can be read: nothing is alpha-tested."""
     bare, wooded = (record_of(drawn(build(trees), algorithm="shadow_map", map_size=256), "depth map") for trees in (False, True))
     assert (
         bare.draws > 0
@@ -208,8 +208,8 @@ def test_a_depth_map_reads_a_texture_for_its_leaves_alone(gl, build):
     )
 
 
-def test_programs_are_compiled_for_what_is_asked_for(gl, build, monkeypatch):
-    """The sun's disc where soft edges are asked for, the leaves where there are trees."""
+def test_programs_are_compiled_on_demand(gl, build, monkeypatch):
+    """The sun's disc is compiled for soft edges, and leaves are compiled for trees."""
     monkeypatch.setattr(gl, "_programs", Cache("programs of this test", "process", 64 * MIB, lambda program: 1))
     frame = drawn(build(), algorithm="shadow_map", filter=3, map_size=256)
     assert set(gl.programs) == {label for record in frame.passes for label in record.programs}
@@ -224,8 +224,8 @@ def test_programs_are_compiled_for_what_is_asked_for(gl, build, monkeypatch):
     assert any("shadows/maps/depth_tree.frag" in label.split() for label in gl.programs)
 
 
-def test_labels_name_the_constants_compiled_in(gl, build):
-    """In a map, whose points share triangles, shaders look them up; in perspective a loop does."""
+def test_program_labels_name_compiled_constants(gl, build):
+    """Map points share triangles and are looked up by shaders. Points of perspective views are looked up by a loop."""
     for taps in (1, 3):
         loops = record_of(drawn(build(), algorithm="shadow_map", filter=taps, map_size=256), "visibility").loops
         assert loops[0].split() == ["shadows/maps/point_lookup", f"taps={taps}"]

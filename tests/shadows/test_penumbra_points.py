@@ -1,4 +1,4 @@
-"""How many points of a lamp's ball are drawn: as many as its penumbrae have pixels for."""
+"""Number of sample points of a lamp's ball: as many as its penumbrae have pixels for."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ SIDE_M = 28.0
 
 
 def described(scene, view, radius_m: float, light_m: float, thrown_m: float | None, pixel_m: float):
-    """A perspective view of which it is known how far the lamp is and how far shadows are thrown."""
+    """Return a perspective view with known distances of the lamp and of its shadows."""
     band = CastBand(near_m=1.0, share=0.5, cast=0.5, pixel_m=pixel_m, light_m=light_m, differs=(0.0,) * len(TEXEL_LADDER_PX))
     lamp = LampFacts(name="spot", kind="spot", cutoff_deg=40, reference_m=15, radius_m=radius_m)
     lit = LightFacts(casts={"meshes": Casting(share=0.2, bands=(band,), thrown_m=thrown_m)})
     return describe(scene, view, "eye").model_copy(update={"lamps": (lamp,), "lights": {"spot": lit}})
 
 
-def test_a_penumbra_is_as_wide_as_a_ball_seen_past_an_edge(tmp_path):
-    """2 R t / (d - t), of casters that are twice as far away as the median."""
+def test_penumbra_px_is_the_ball_seen_past_an_edge(tmp_path):
+    """The width is 2 R t / (d - t), for casters twice as far away as the median."""
     scene = figure(tmp_path, lights={"spot": LAMPS["spot"]})
     view = scene.view("eye")
     assert penumbra_px(described(scene, view, 0.2, 20.0, 5.0, 0.1), "spot") == pytest.approx(2 * 0.2 * 10 / 10 / 0.1)
@@ -40,8 +40,8 @@ def test_a_penumbra_is_as_wide_as_a_ball_seen_past_an_edge(tmp_path):
 
 
 @pytest.mark.parametrize(("pixels", "points"), [(8, 5), (12, 7)])
-def test_fewer_points_show_what_all_of_them_do(gl, tmp_path, monkeypatch, pixels, points):
-    """In maps of pixels of 3.5 and 2.3 m under a lamp whose penumbrae are up to 4 m wide."""
+def test_light_points_suffice_for_the_picture(gl, tmp_path, monkeypatch, pixels, points):
+    """Map pixels are 3.5 and 2.3 m wide, under a lamp whose penumbrae are up to 4 m wide."""
     scene = figure(tmp_path, lights={"spot": LAMPS["spot"]}, sun="none")
     view = scene.view(bounds=(-SIDE_M / 2, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), size=(pixels, pixels))
     few = seen(scene, view, "spot", algorithm="shadow_map", map_size=512)
@@ -52,7 +52,7 @@ def test_fewer_points_show_what_all_of_them_do(gl, tmp_path, monkeypatch, pixels
     assert np.nanmean(np.abs(few - many)) <= MAX_SOFT_ERROR
 
 
-def test_a_lamp_that_no_pixel_shows_as_a_ball_costs_one_map(gl, tmp_path):
+def test_light_points_are_one_for_penumbrae_below_a_pixel(gl, tmp_path):
     scene = figure(tmp_path, lights={"spot": LAMPS["spot"] | {"radius": 0.2}})
     view = scene.view(bounds=(-SIDE_M / 2, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), size=(4, 4))
     plan = plan_of(scene, view, algorithm={"sun": "shadow_volume", "spot": "shadow_map"})

@@ -1,4 +1,4 @@
-"""Shadows projected onto level ground: known geometry, exact beside truth, and no pixel darkened twice."""
+"""Planar shadows on level ground: known geometry, agreement with truth, and no pixel darkened twice."""
 
 from __future__ import annotations
 
@@ -42,8 +42,9 @@ LIGHTS = {"sun": {}, "spot": {"lights": {"spot": SPOT}, "sun": "none"}, "omni": 
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory) -> Build:
-    """``build(azimuth, altitude, **keys)`` builds the scene of a flat floor of 120 m; a box 8 m wide, 6 m deep and 5 m high and
-    a few trees are at hand.
+    """Return ``build(azimuth, altitude, **keys)``, the scene of a flat floor of 120 m.
+
+    Files hold a box 8 m wide, 6 m deep and 5 m high, and a few trees.
     """
     folder = tmp_path_factory.mktemp("planar")
     trimesh.creation.box(extents=(8.0, 6.0, 5.0)).export(folder / "box.obj")
@@ -71,7 +72,7 @@ def view_of(scene: Scene, kind: str):
 
 
 def ground_errors(scene: Scene, view, visibility: np.ndarray, light: str) -> tuple[float, float]:
-    """Share of decidable ground pixels that are wrong, and of those in shadow."""
+    """Return the wrong share of decidable ground pixels, and the share of them in shadow."""
     buffer = geometry_buffer(scene, view)
     real = trace_truth(buffer, scene, find_casters(scene, buffer), light=light)
     ground = real.decidable & (buffer.kind == RELIEF)
@@ -86,8 +87,8 @@ def ground_errors(scene: Scene, view, visibility: np.ndarray, light: str) -> tup
     light=st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(20.0, 1e3), st.sampled_from([0.0, 1.0])),
     point=st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(0.0, 10.0)),
 )
-def test_a_point_falls_where_its_ray_meets_the_plane(light, point):
-    """On the line through point and light, at height 0."""
+def test_plane_projection_follows_the_ray(light, point):
+    """The image lies on the line through point and light, at height 0."""
     light, point = np.array(light), np.array(point)
     x, y, z, w = plane_projection(light) @ [*point, 1.0]
     assert z == pytest.approx(0.0, abs=1e-9) and w > 0.0
@@ -97,8 +98,8 @@ def test_a_point_falls_where_its_ray_meets_the_plane(light, point):
 
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])
-def test_the_ground_s_points_lie_in_the_pixels_that_show_them(build, kind):
-    """Clip coordinates of a buffer's own points are those of its pixels' centres; perspective views are cut off-centre too."""
+def test_clip_from_plane_maps_points_to_their_pixels(build, kind):
+    """A buffer's own points map to the centres of their pixels. Perspective views are also cut off-centre."""
     scene = build()
     view = view_of(scene, kind).part(20, 31, 150, 170)
     buffer = geometry_buffer(scene, view)
@@ -106,14 +107,14 @@ def test_the_ground_s_points_lie_in_the_pixels_that_show_them(build, kind):
     origin = np.array([3.0, -7.0, 0.0])
     points = np.column_stack([buffer.position_frame_m[row, col] - origin, np.ones(len(row))])
     x, y, _, w = clip_from_plane(scene.world, buffer.frame, view, origin) @ points.T
-    # points are held inside their triangles, whose corners the rasteriser rounds to 1/256 of a pixel
+    # points are clamped to their triangles, whose corners the rasteriser rounds to 1/256 of a pixel
     np.testing.assert_allclose((x / w + 1.0) * view.cols / 2 - 0.5, col, rtol=0, atol=1 / 256)
     np.testing.assert_allclose((y / w + 1.0) * view.rows / 2 - 0.5, row, rtol=0, atol=1 / 256)
 
 
 @pytest.mark.parametrize("altitude", [12.0, 35.0, 70.0])
-def test_the_shadow_of_a_box_is_as_long_as_its_height_over_the_tangent(gl, build, altitude):
-    """The sun in the south: north of a box 6 m deep and 5 m high the shadow ends after h / tan(a), to a pixel."""
+def test_planar_shadow_of_a_box_under_the_sun(gl, build, altitude):
+    """With the sun in the south, the shadow north of a box 6 m deep and 5 m high ends after h / tan(a), to a pixel."""
     scene = build(180.0, altitude, meshes=[BOX])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(600, 600))
     frame = render_points(scene, view, algorithm="planar")
@@ -125,8 +126,8 @@ def test_the_shadow_of_a_box_is_as_long_as_its_height_over_the_tangent(gl, build
     assert not (dark & ground)[y < -3.0].any()
 
 
-def test_a_lamp_s_shadow_ends_on_the_line_from_the_lamp_over_the_edge(gl, build):
-    """From (0, -20, 15) over the edge at y = 3, z = 5: at y = -20 + 23 * 15 / (15 - 5)."""
+def test_planar_shadow_of_a_box_under_a_lamp(gl, build):
+    """The line from (0, -20, 15) over the edge at y = 3, z = 5 ends at y = -20 + 23 * 15 / (15 - 5)."""
     lamp = {"kind": "omni", "position": [0, -20, 15]}
     scene = build(sun="none", lights={"lamp": lamp}, meshes=[BOX])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(600, 600))
@@ -136,7 +137,7 @@ def test_a_lamp_s_shadow_ends_on_the_line_from_the_lamp_over_the_edge(gl, build)
     assert y[dark].max() == pytest.approx(-20 + 23 * 1.5, abs=0.1) and y[dark].min() > 3.0
 
 
-# -- beside truth
+# -- against truth
 
 
 @pytest.mark.parametrize(
@@ -146,7 +147,7 @@ def test_a_lamp_s_shadow_ends_on_the_line_from_the_lamp_over_the_edge(gl, build)
         ("thesis_water_tower", "map"), ("thesis_room", "main"),
     ],
 )  # fmt: skip
-def test_on_the_ground_of_the_bundled_scenes_it_is_truth(gl, level, name):
+def test_planar_on_bundled_ground_equals_truth(gl, level, name):
     """At most 1 decidable ground pixel of 10,000 is wrong (measured: 1 of 100,000)."""
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     view = scene.view(name, size=(320, 256) if name == "main" else (160, 160))
@@ -157,8 +158,8 @@ def test_on_the_ground_of_the_bundled_scenes_it_is_truth(gl, level, name):
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])
 @pytest.mark.parametrize("light", LIGHTS)
-def test_trees_and_boxes_cast_from_every_light(gl, build, kind, light):
-    """Leaves are projected with their texture: as near truth as boxes."""
+def test_planar_trees_and_boxes_cast_from_every_light(gl, build, kind, light):
+    """Leaves are projected with their texture, and agree with truth as well as boxes."""
     scene = build(meshes=[BOX], forest=[{"source": "trees.gpkg", "height": "height"}], **LIGHTS[light])
     view = view_of(scene, kind)
     frame = render(scene, view, algorithm="planar")
@@ -170,8 +171,8 @@ def test_trees_and_boxes_cast_from_every_light(gl, build, kind, light):
 
 
 @pytest.mark.parametrize("light", LIGHTS)
-def test_samples_of_a_pixel_are_drawn_where_they_lie(gl, build, light):
-    """The further samples of pixels where something ends, against rays from their own points."""
+def test_planar_samples_match_rays_from_their_points(gl, build, light):
+    """The samples are those of edge pixels beyond their own points."""
     places = [[x, y] for x in (-18, -6, 6, 18) for y in (-12, 0, 12, 24)]
     scene = build(meshes=[{"source": "box.obj", "at": places}], **LIGHTS[light])
     view = scene.view("back")
@@ -190,8 +191,8 @@ def test_samples_of_a_pixel_are_drawn_where_they_lie(gl, build, light):
 # -- stencil and clipping
 
 
-def test_what_is_covered_twice_is_as_dark_as_what_is_covered_once(gl, build):
-    """Two boxes in one line with the sun: the stencil counts each pixel once, and visibility is 0 or 1."""
+def test_planar_overlapping_shadows_are_equally_dark(gl, build):
+    """Two boxes stand in line with the sun. The stencil counts each pixel once, and visibility is 0 or 1."""
     scene = build(180.0, 25.0, meshes=[{"source": "box.obj", "at": [[0, 0], [0, 9]]}])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(300, 300))
     frame = render_frame(scene, view, plan_of(scene, view, algorithm="planar"), layers=frozenset({"stencil"}))
@@ -209,8 +210,8 @@ def test_what_is_covered_twice_is_as_dark_as_what_is_covered_once(gl, build):
     np.testing.assert_array_equal(stencil == planar.NO_GROUND_VALUE, ~ground)
 
 
-def test_nothing_falls_on_the_casters_themselves(gl, build):
-    """One box in the other's shadow stays lit wherever it faces the sun; truth says otherwise."""
+def test_planar_casters_receive_no_shadow(gl, build):
+    """A box in the other's shadow stays lit where it faces the sun. Truth differs."""
     scene = build(180.0, 20.0, meshes=[{"source": "box.obj", "at": [[0, 0], [0, 9]]}])
     view = view_of(scene, "perspective")
     buffer = geometry_buffer(scene, view)
@@ -223,8 +224,8 @@ def test_nothing_falls_on_the_casters_themselves(gl, build):
 
 
 @pytest.mark.parametrize("light", LIGHTS)
-def test_what_lies_below_the_ground_throws_no_shadow(gl, build, light, monkeypatch):
-    """A box sunk by 3 of its 5 m throws the shadow of one 2 m high; one that is wholly below throws none."""
+def test_planar_clips_casters_below_the_ground(gl, build, light, monkeypatch):
+    """A box sunk by 3 of its 5 m casts the shadow of a box 2 m high. A box wholly below the ground casts none."""
     scene = build(meshes=[BOX], **LIGHTS[light])
     view = view_of(scene, "map")
     buffer = geometry_buffer(scene, view)
@@ -241,8 +242,8 @@ def test_what_lies_below_the_ground_throws_no_shadow(gl, build, light, monkeypat
     assert not shadow(-6.0, -1.0).any()
 
 
-def test_what_stands_above_a_lamp_throws_no_shadow(gl, build, monkeypatch):
-    """The part of a mast above the lamp counts for nothing; the part below throws a shadow without end."""
+def test_planar_clips_casters_above_a_lamp(gl, build, monkeypatch):
+    """The part of a mast above the lamp casts nothing. The part below casts a shadow without end."""
     scene = build(sun="none", lights={"omni": OMNI}, meshes=[BOX])
     view = view_of(scene, "perspective")
     buffer = geometry_buffer(scene, view)
@@ -260,8 +261,8 @@ def test_what_stands_above_a_lamp_throws_no_shadow(gl, build, monkeypatch):
 
 
 @pytest.mark.parametrize("height_m", [0.0, 5.0])
-def test_a_light_that_is_not_above_the_ground_reaches_none_of_it(gl, build, height_m):
-    """A lamp on the floor, and a sun below the horizon that the level insists on."""
+def test_planar_light_below_the_ground_lights_none_of_it(gl, build, height_m):
+    """The lights are a lamp on the floor, and a sun below the horizon with ``cast_shadows: on``."""
     keys = {"lights": {"lamp": {**OMNI, "position": [-20, 0, height_m]}}, "effects": {"cast_shadows": "on"}}
     scene = build(200.0, -5.0, meshes=[BOX], **keys)
     view = view_of(scene, "perspective")
@@ -271,8 +272,8 @@ def test_a_light_that_is_not_above_the_ground_reaches_none_of_it(gl, build, heig
     assert frame.visibilities["lamp"][ground].any() == (height_m > 0.0)
 
 
-def test_the_ground_s_rim_ends_the_shadow(gl, build):
-    """A low sun throws a box's shadow beyond the floor: nothing is drawn there."""
+def test_planar_shadow_ends_at_the_grounds_rim(gl, build):
+    """A low sun casts a box's shadow beyond the floor, where nothing is drawn."""
     scene = build(270.0, 4.0, meshes=[{"source": "box.obj", "at": [40, 0]}])
     view = scene.view(bounds=(20, -20, 100, 20), size=(400, 200))
     frame = render_frame(scene, view, plan_of(scene, view, algorithm="planar"), layers=frozenset({"stencil"}))
@@ -284,8 +285,8 @@ def test_the_ground_s_rim_ends_the_shadow(gl, build):
     assert np.isnan(frame.visibility[:, x > 61.2]).all()
 
 
-def test_no_state_is_left_to_what_is_drawn_next(gl, build):
-    """The same picture by shadow map before and after; and the stencil starts at 0 each time."""
+def test_planar_leaves_no_opengl_state(gl, build):
+    """The picture by shadow map is the same before and after. The stencil starts at 0 each time."""
     scene = build(meshes=[BOX], forest=[{"source": "trees.gpkg", "height": "height"}])
     view = view_of(scene, "perspective")
     before = render(scene, view, algorithm="shadow_map")

@@ -1,4 +1,4 @@
-"""Levels with trees, buildings and lamps as a whole: near truth, kind by kind, and with no other passes than planned."""
+"""Levels with trees, buildings and lamps: agreement with truth, separate caster kinds, and exactly the planned passes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from skugga.shadows.attached import attached
 from skugga.shadows.passes import PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import render_frame
-from skugga.shadows.truth.metrics import MAX_INTERIOR, MIN_SIGHT, block_shares, coverage_error, error_metrics
+from skugga.shadows.truth.metrics import MAX_INTERIOR, MIN_COVERED_SHARE, block_shares, coverage_error, error_metrics
 from skugga.shadows.truth.truth import TruthSettings, coverage_truth, fill, trace_truth
 from skugga.terrain.casters.reach import find_casters
 from skugga.terrain.describe import describe
@@ -46,7 +46,7 @@ OMNI = {"kind": "omni", "position": [0, -8, 12]}
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory) -> Build:
-    """``build(azimuth, altitude, **keys)`` builds the scene of a level over rolling or level ground of 120 m."""
+    """Return ``build(azimuth, altitude, **keys)``, the scene of a level over rolling or level ground of 120 m."""
     folder: Path = tmp_path_factory.mktemp("populated")
     y, x = np.mgrid[0:61, 0:61] / 60.0
     grounds = {"rolling": 3 * np.sin(6 * x + 1) + 2.5 * np.cos(7 * y), "level": np.zeros((61, 61))}
@@ -82,7 +82,7 @@ def build(tmp_path_factory) -> Build:
 
 
 def view_of(scene: Scene, kind: str):
-    """A view of a kind; a map's pixels lie beside its grid's nodes, so that no whole block is drawn."""
+    """Return a view of a kind. A map's pixels lie off its grid's nodes, so that no whole block is drawn."""
     return scene.view("eye") if kind == "perspective" else scene.view(bounds=(-40, -40, 40, 40), size=(240, 240))
 
 
@@ -90,8 +90,8 @@ def view_of(scene: Scene, kind: str):
 
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])
-def test_the_shade_of_a_wood_is_near_truth(gl, build, kind):
-    """Coverage of blocks of 16 pixels, truth by 16 points a pixel: within 0.02."""
+def test_shadow_coverage_of_a_wood_is_near_truth(gl, build, kind):
+    """Coverage in blocks of 16 pixels is within 0.02 of truth by 16 points a pixel."""
     scene = build(forest=[WOOD])
     view = view_of(scene, kind)
     frame = render_points(scene, view, map_size=4096)
@@ -107,7 +107,7 @@ def test_the_shade_of_a_wood_is_near_truth(gl, build, kind):
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])
 @pytest.mark.parametrize("altitude", [12.0, 50.0])
-def test_shadows_of_buildings_are_right_inside(gl, build, kind, altitude):
+def test_shadows_of_buildings_have_no_interior_error(gl, build, kind, altitude):
     scene = build(300.0, altitude, meshes=[HOUSE, {"source": "plank.obj", "at": [[-15, 5], [-20, -18]], "turn": 70}])
     view = view_of(scene, kind)
     frame = render_points(scene, view, map_size=4096, filter=1)
@@ -117,14 +117,14 @@ def test_shadows_of_buildings_are_right_inside(gl, build, kind, altitude):
     cast = ~real.lit & ~real.attached & real.valid
     assert 0.02 < cast.sum() / real.valid.sum() and (buffer.kind == MESHES).any() and (buffer.kind == RELIEF).any()
     assert found.interior <= MAX_INTERIOR and found.interior_parts == 0 and found.wrong_cast < 0.03 and found.edge_p95 <= 2.0
-    assert found.interior_sees >= MIN_SIGHT
+    assert found.interior_sees >= MIN_COVERED_SHARE
 
 
-# -- kind by kind
+# -- caster kinds
 
 
-def test_each_kind_casts_its_own_shadow(gl, build):
-    """What is left out by name throws none; truths of single kinds multiply to that of all; the map agrees with each."""
+def test_each_caster_kind_casts_its_own_shadow(gl, build):
+    """A kind without an algorithm casts nothing. Truths of single kinds multiply to truth of all, and the map agrees with each."""
     scene = build(300.0, 20.0, meshes=[HOUSE], forest=[TREES])
     view = view_of(scene, "perspective")
     buffer = geometry_buffer(scene, view)
@@ -133,7 +133,7 @@ def test_each_kind_casts_its_own_shadow(gl, build):
     assert all_kinds == ("relief", "meshes", "forest")
     real = {kind: fill(buffer, scene, SUN, (kind,), casters, TruthSettings(), PassLog()) for kind in all_kinds}
     together = fill(buffer, scene, SUN, all_kinds, casters, TruthSettings(), PassLog())
-    assert (np.prod(list(real.values()), axis=0) != together).mean() < 1e-4  # rays start at offsets by what there is
+    assert (np.prod(list(real.values()), axis=0) != together).mean() < 1e-4  # the offset of a ray's start depends on its casters
     ground = buffer.valid & (buffer.kind == RELIEF)
     masks = {}
     for kind in all_kinds:
@@ -151,8 +151,8 @@ def test_each_kind_casts_its_own_shadow(gl, build):
     np.testing.assert_array_equal(none.visibility[buffer.valid] == 0.0, attached(buffer, scene)[buffer.valid])
 
 
-def test_two_algorithms_share_the_kinds_of_a_light(gl, build):
-    """``relief=none,meshes=truth,forest=shadow_map``: visibilities multiply, and each has its own passes."""
+def test_two_algorithms_of_a_light_multiply(gl, build):
+    """The override is ``relief=none,meshes=truth,forest=shadow_map``. Each algorithm has its own passes."""
     scene = build(300.0, 20.0, meshes=[HOUSE], forest=[TREES])
     view = view_of(scene, "perspective")
     both = render_points(
@@ -168,7 +168,7 @@ def test_two_algorithms_share_the_kinds_of_a_light(gl, build):
     ]  # fmt: skip
 
 
-def test_the_plan_names_the_kinds_there_are(build):
+def test_plan_lists_the_present_caster_kinds(build):
     for keys, kinds in (
         ({}, ["relief"]),
         ({"meshes": [HOUSE]}, ["relief", "meshes"]),
@@ -188,7 +188,7 @@ def test_the_plan_names_the_kinds_there_are(build):
 
 
 def floor_shadow(scene: Scene, **options) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A map's shadow on level ground, and its pixels' coordinates; meshes count as lit."""
+    """Return a map's shadow on level ground, and its pixels' coordinates. Meshes count as lit."""
     view = scene.view(bounds=(-30, -30, 30, 30), size=(170, 170))
     frame = render_points(scene, view, map_size=2048, filter=1, **options)
     x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
@@ -197,8 +197,8 @@ def floor_shadow(scene: Scene, **options) -> tuple[np.ndarray, np.ndarray, np.nd
     return (frame.visibility < 0.5) & (frame.height_m < 1e-3), x, y
 
 
-def test_a_stand_in_casts_instead_of_what_is_seen(gl, build):
-    """The house shows its roof; its shadow is that of a lower, narrower box: 2 m high at 45 degrees from the east."""
+def test_stand_in_mesh_casts_instead_of_the_visible_mesh(gl, build):
+    """The view shows the house's roof. The shadow is that of a lower, narrower box: 2 m high at 45 degrees from the east."""
     scene = build(90.0, 45.0, "level", meshes=[{"source": "house.obj", "at": [0, 0], "caster": "low.obj"}])
     own = build(90.0, 45.0, "level", meshes=[{"source": "house.obj", "at": [0, 0]}])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(170, 170))
@@ -206,10 +206,10 @@ def test_a_stand_in_casts_instead_of_what_is_seen(gl, build):
     np.testing.assert_array_equal(roof, geometry_buffer(own, view).height_m)
     assert roof.max() == pytest.approx(6.0)
     dark, x, y = floor_shadow(scene)
-    assert not dark.any()  # 2 + 2 m west of the middle: below the house
+    assert not dark.any()  # the shadow ends 2 + 2 m west of the middle, below the house
     house = (np.abs(x) < 5.9) & (np.abs(y) < 3.9)
     frame = render_points(scene, view, map_size=2048, filter=1)
-    assert (frame.visibility[house & (roof > 5)] == 1.0).all()  # its roof stands above the stand-in
+    assert (frame.visibility[house & (roof > 5)] == 1.0).all()  # the roof lies above the stand-in
     dark, x, y = floor_shadow(own)
     outline = (x < -6.05) & (x > -11.95) & (np.abs(y) < 3.95)
     assert dark[outline].all() and not dark[(x < -12.1) | (np.abs(y) > 4.1) | (x > -5.9)].any()
@@ -220,8 +220,8 @@ def test_a_stand_in_casts_instead_of_what_is_seen(gl, build):
     assert (dark != real).mean() < 0.004
 
 
-def test_a_moving_caster_s_shadow_turns_with_the_clock(gl, build):
-    """A plank that spins by 30 degrees a second, at second 3 as one that stands turned by 90; what does not move stays."""
+def test_spinning_casters_shadow_follows_the_clock(gl, build):
+    """A plank that spins by 30 degrees a second stands at second 3 as one turned by 90. The trees do not change."""
     moving = {"source": "plank.obj", "at": [0, 0], "motion": {"spin": 30.0}}
     scene = build(180.0, 45.0, "level", meshes=[moving], forest=[TREES])
     later = scene.at_second(3.0)
@@ -234,7 +234,7 @@ def test_a_moving_caster_s_shadow_turns_with_the_clock(gl, build):
     assert (masks[1] != masks[2]).mean() < 1e-3
     np.testing.assert_array_equal(masks[1], masks[3])
     dark, x, y = floor_shadow(later)
-    north = (np.abs(x) < 0.9) & (y > 8.1) & (y < 13.9)  # of the 6 m high plank, 2 m wide and from -8 to 8 m north
+    north = (np.abs(x) < 0.9) & (y > 8.1) & (y < 13.9)  # the plank is 6 m high, 2 m wide, and reaches from -8 to 8 m north
     assert dark[north].all()
 
 
@@ -254,8 +254,8 @@ CHOICES = st.one_of(
     sun=st.sampled_from([(215.0, 30.0), (215.0, -10.0), None]), choice=CHOICES, kind=st.sampled_from(["perspective", "map"]),
     effect=st.sampled_from(["auto", "on", "off"]),
 )  # fmt: skip
-def test_the_passes_that_run_are_the_plan_s(gl, build, meshes, forest, spot, omni, ground, sun, choice, kind, effect):
-    """Whatever casts, whatever shines and whatever is asked for; every light of the plan has its visibility."""
+def test_frame_runs_the_planned_passes(gl, build, meshes, forest, spot, omni, ground, sun, choice, kind, effect):
+    """This holds for any casters, lights and overrides. Every light of the plan has its visibility."""
     keys = {"meshes": [HOUSE] if meshes else [], "forest": [TREES] if forest else [], "effects": {"cast_shadows": effect}}
     lights = {name: spec for name, spec, is_set in (("spot", SPOT, spot), ("omni", OMNI, omni)) if is_set}
     if sun is None:
@@ -276,8 +276,8 @@ def test_the_passes_that_run_are_the_plan_s(gl, build, meshes, forest, spot, omn
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])
 @pytest.mark.parametrize("algorithm", ["auto", "truth"])
-def test_shadows_that_are_forced_on_without_any_light_are_none(gl, build, kind, algorithm):
-    """A level with ``cast_shadows: on`` but neither sun nor lamps: a plan and a picture, all of it dark."""
+def test_forced_shadows_without_lights_are_all_dark(gl, build, kind, algorithm):
+    """The level has ``cast_shadows: on`` but neither sun nor lamps."""
     scene = build(sun="none", effects={"cast_shadows": "on"}, meshes=[HOUSE])
     frame = render(scene, view_of(scene, kind), algorithm=algorithm)
     if np.nan_to_num(frame.visibility).any():
@@ -286,8 +286,8 @@ def test_shadows_that_are_forced_on_without_any_light_are_none(gl, build, kind, 
 
 @pytest.mark.parametrize("kind", ["perspective", "map"])
 @pytest.mark.parametrize("algorithm", ["auto", "truth", "none"])
-def test_descriptor_and_plan_survive_json(build, kind, algorithm):
-    """As HTTP sends them: equal when read back, and the plan of a descriptor read back is the same."""
+def test_descriptor_and_plan_round_trip_through_json(build, kind, algorithm):
+    """HTTP sends both. A descriptor that is read back gives the same plan."""
     scene = build(meshes=[HOUSE], forest=[TREES], lights={"spot": SPOT, "omni": OMNI})
     view = view_of(scene, kind)
     descriptor = describe(scene, view, "eye")

@@ -1,4 +1,4 @@
-"""Pictures: what a user sees of the bundled levels, against stored ones."""
+"""Snapshots: pictures of the bundled levels against stored golden pictures."""
 
 from __future__ import annotations
 
@@ -81,15 +81,14 @@ def test_layers_of_volumes(gl, algorithm, layer, request):
 
 
 def test_tiles_of_a_block(gl, request):
-    """Four tiles round the corner of a ridge at zoom 13, cut from their block."""
+    """The picture has four tiles at the corner of a ridge at zoom 13, cut from their block."""
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     view = block_at(-84.25, 36.2933, 13).part(256, 256, 512, 512)
     picture = product_of_frame(scene, render(scene, view), "color")
     assert_golden("jacksboro-tiles-13", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
-def test_a_changed_picture_is_found_and_a_missing_one_fails_on_ci(tmp_path, monkeypatch):
-    """The comparison itself can fail."""
+def test_assert_golden_fails_on_changed_or_missing_pictures(tmp_path, monkeypatch):
     monkeypatch.setattr(golden, "FOLDER", tmp_path / "golden")
     monkeypatch.setattr(golden, "OUTPUT", tmp_path / "output")
     picture = np.full((8, 8, 3), 100, np.uint8)
@@ -97,7 +96,7 @@ def test_a_changed_picture_is_found_and_a_missing_one_fails_on_ci(tmp_path, monk
     with pytest.raises(AssertionError, match="no golden picture"):
         assert_golden("p", picture, "llvmpipe", regenerate=False)
     monkeypatch.delenv("CI")
-    assert_golden("p", picture, "llvmpipe", regenerate=False)  # writes it
+    assert_golden("p", picture, "llvmpipe", regenerate=False)  # writes the golden picture
     assert_golden("p", picture + np.uint8(1), "llvmpipe", regenerate=False)
     with pytest.raises(pytest.fail.Exception, match="1.562 % of the pixels"):
         changed = picture.copy()
@@ -106,8 +105,11 @@ def test_a_changed_picture_is_found_and_a_missing_one_fails_on_ci(tmp_path, monk
     assert {path.name for path in (tmp_path / "output").iterdir()} == {f"p.{k}.png" for k in ("actual", "expected", "difference")}
 
 
-def test_another_renderer_is_held_to_a_tolerance_of_its_own(tmp_path, monkeypatch):
-    """It is not skipped; a picture that is moved by a pixel fails, on a renderer that only has the name in its own, too."""
+def test_assert_golden_applies_a_tolerance_to_other_renderers(tmp_path, monkeypatch):
+    """The comparison is not skipped: a picture shifted by a pixel fails.
+
+    A renderer whose name merely contains llvmpipe is another one.
+    """
     monkeypatch.setattr(golden, "OUTPUT", tmp_path / "output")
     for name in ("jacksboro-map-hybrid", "thesis_street-main-hybrid", "thesis_boxgrid_sun-main-perspective_shadow_map"):
         picture = np.asarray(Image.open(golden.FOLDER / f"{name}.png"))

@@ -1,4 +1,4 @@
-"""Pixels larger than the data's cells show the mean visibility of the ground that they cover."""
+"""Supersampling: pixels larger than the data's cells show the mean visibility of their ground."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from tests.render import block_at, plan_of, render
 MERCATOR = tms.get("WebMercatorQuad")
 
 SIDE, PERIOD, CREST = 64, 8, 4
-"""Cells of 1 m; ridges run from north to south, one every ``PERIOD`` columns, and lie in the column ``CREST`` of each."""
+"""Cells of 1 m. Ridges run from north to south, one per ``PERIOD`` columns, in column ``CREST`` of each period."""
 
 DARK = np.isin(np.arange(SIDE) % PERIOD, (CREST - 1, CREST - 2))
-"""Under a sun in the east, 45 degrees high, crests of 2.5 m shade the nodes one and two metres west of them, and no others."""
+"""Under a sun in the east, 45 degrees high, crests of 2.5 m shade exactly the nodes one and two metres west of them."""
 
 
 @pytest.fixture
 def ridges(tmp_path):
-    """Ridges that are lost where 8 cells are averaged."""
+    """Return ridges that are lost when 8 cells are averaged."""
     heights = np.zeros((SIDE, SIDE), np.float32)
     heights[:, CREST::PERIOD] = 2.5
     write_geotiff(tmp_path / "dem.tif", heights, ENGINEERING, 0.0, float(SIDE), 1.0)
@@ -52,8 +52,8 @@ def view_of(scene, pixels: int) -> MapView:
 
 
 @pytest.mark.parametrize("pixels", [32, 16, 8, 4, 12, 20])
-def test_a_coarse_pixel_shows_the_share_of_its_ground_that_is_lit(ridges, pixels):
-    """12 and 20 pixels cut through nodes' squares: these count by the share that lies in the pixel."""
+def test_supersampling_shows_the_lit_share_of_a_pixel(ridges, pixels):
+    """12 and 20 pixels cut through the squares of nodes, which are weighted by their share in the pixel."""
     width = SIDE / pixels
     expected = []
     for i in range(pixels):
@@ -65,19 +65,19 @@ def test_a_coarse_pixel_shows_the_share_of_its_ground_that_is_lit(ridges, pixels
 
 
 @pytest.mark.parametrize("algorithm", ["sweep", "shadow_map", "shadow_volume", "truth"])
-def test_by_every_algorithm(ridges, algorithm):
+def test_supersampling_works_for_every_algorithm(ridges, algorithm):
     frame = render(ridges, view_of(ridges, 8), algorithm=algorithm)
     np.testing.assert_allclose(frame.visibility, 0.75, atol=0.02)
 
 
-def test_its_own_point_says_otherwise(ridges):
-    """What the rule is there for: on ground that is averaged over 8 cells nothing casts a shadow."""
+def test_point_sampling_of_coarse_pixels_loses_shadows(ridges):
+    """This is why supersampling exists: on ground averaged over 8 cells nothing casts a shadow."""
     view = view_of(ridges, 8)
     frame = render_frame(ridges, view, plan_of(ridges, view, algorithm="sweep"), pixel_sampling="points")
     assert (frame.visibility == 1.0).all()
 
 
-def test_pixels_as_large_as_cells_or_finer_go_by_their_own_points(ridges):
+def test_supersampling_is_off_for_pixels_up_to_a_cell(ridges):
     for pixels in (64, 128, 50):
         view = view_of(ridges, pixels)
         plan = plan_of(ridges, view, algorithm="sweep")
@@ -87,7 +87,7 @@ def test_pixels_as_large_as_cells_or_finer_go_by_their_own_points(ridges):
         assert set(np.unique(shown)) == {0.0, 1.0}
 
 
-def test_a_level_resolution_counts_as_the_size_of_cells(ridges, tmp_path):
+def test_subdivision_level_uses_the_levels_resolution(ridges, tmp_path):
     level = json.loads((tmp_path / "level.yaml").read_text())
     level["terrain"]["resolution"] = 4
     (tmp_path / "rough.yaml").write_text(json.dumps(level), encoding="utf-8")
@@ -96,7 +96,7 @@ def test_a_level_resolution_counts_as_the_size_of_cells(ridges, tmp_path):
     assert [subdivision_level(rough, view_of(rough, pixels)) for pixels in (64, 32, 16, 8)] == [0, 0, 0, 1]
 
 
-def test_the_descriptor_is_that_of_the_finer_map(ridges):
+def test_descriptor_of_a_supersampled_map_is_the_finer_maps(ridges):
     coarse, fine, own = describe(ridges, view_of(ridges, 8)), describe(ridges, view_of(ridges, 64)), view_of(ridges, 8)
     assert (coarse.pieces, fine.pieces, describe(ridges, own, pixel_sampling="points").pieces) == (8, 1, 1)
     assert coarse.pixel_m == fine.pixel_m == 1.0 and describe(ridges, own, pixel_sampling="points").pixel_m == 8.0
@@ -105,7 +105,7 @@ def test_the_descriptor_is_that_of_the_finer_map(ridges):
     assert any(reason.name == "supersampling" and "8 x 8" in reason.reason for reason in plan_of(ridges, own).reasons)
 
 
-def test_the_pieces_of_a_tile_are_the_pixels_of_finer_tiles(jacksboro):
+def test_subpixel_grid_of_a_tile_is_a_finer_zoom(jacksboro):
     view = block_at(-84.25, 36.6, 9)
     nodes = covered_nodes(view, subpixel_grid(view, subdivision_level(jacksboro, view)))
     grid = tile_grid(MERCATOR, 11)
@@ -114,8 +114,8 @@ def test_the_pieces_of_a_tile_are_the_pixels_of_finer_tiles(jacksboro):
     assert abs(nodes.grid.step - grid.step) < 1e-9
 
 
-def test_a_coarse_map_is_the_finer_one_averaged(jacksboro):
-    """Across blocks, too: those of the finer map begin and end elsewhere."""
+def test_supersampled_map_is_the_mean_of_the_finer_map(jacksboro):
+    """This holds across blocks, too: the finer map's blocks begin and end elsewhere."""
     fine, coarse = (around_middle(jacksboro, zoom) for zoom in (11, 9))
     fine_frame, coarse_frame = (render(jacksboro, view, algorithm="sweep") for view in (fine, coarse))
     visibility = fine_frame.visibility.reshape(coarse.rows, 4, coarse.cols, 4)
@@ -127,8 +127,8 @@ def test_a_coarse_map_is_the_finer_one_averaged(jacksboro):
 
 @pytest.mark.parametrize("algorithm", ["sweep", "shadow_map"])
 @pytest.mark.parametrize("pixels", [8, 64], ids=["coarse", "fine"])
-def test_ground_outside_casts_where_the_plan_runs_that_effect(gl, tmp_path, pixels, algorithm):
-    """A ridge 19.5 m high and 15.5 m beside the window, under a sun 45 degrees high: its shadow ends 4 m inside."""
+def test_outside_casters_follow_the_plan(gl, tmp_path, pixels, algorithm):
+    """A ridge 19.5 m high stands 15.5 m beside the window, under a sun 45 degrees high. Its shadow ends 4 m inside."""
     heights = np.zeros((SIDE, 2 * SIDE), np.float32)
     heights[:, SIDE + 15] = 19.5
     write_geotiff(tmp_path / "dem.tif", heights, ENGINEERING, 0.0, float(SIDE), 1.0)
@@ -145,7 +145,7 @@ def test_ground_outside_casts_where_the_plan_runs_that_effect(gl, tmp_path, pixe
 
 
 def around_middle(scene, zoom: int) -> MapView:
-    """96 x 96 pixels of zoom 9, or the same ground in pixels of another one."""
+    """Return 96 x 96 pixels of zoom 9, or the same ground in pixels of another zoom."""
     grid, side = tile_grid(MERCATOR, 9), 96
     x, y, _ = scene.world.map_position(grid.crs, scene.world.anchor_earth_m)
     row, col = round((grid.y0 - float(y)) / grid.step) - side // 2, round((float(x) - grid.x0) / grid.step) - side // 2
@@ -153,7 +153,7 @@ def around_middle(scene, zoom: int) -> MapView:
     return MapView(tile_grid(MERCATOR, zoom), float(row * k), float(col * k), 1.0, 1.0, side * k, side * k)
 
 
-def test_heights_alone_say_what_a_geometry_buffer_says(jacksboro):
+def test_lit_nodes_by_heights_match_geometry_buffers(jacksboro):
     view = around_middle(jacksboro, 9)
     pixels = supersampling(jacksboro, view, plan_of(jacksboro, view, algorithm="sweep"))
     assert pixels is not None and pixels.heights_only
@@ -163,29 +163,29 @@ def test_heights_alone_say_what_a_geometry_buffer_says(jacksboro):
     assert ((full["sun"] > 0.5) != lean["sun"])[valid].mean() < 2e-3  # a pixel's lines are spread over its nodes
 
 
-def test_penumbras_are_averaged(ridges):
+def test_supersampling_averages_penumbrae(ridges):
     view = view_of(ridges, 8)
     soft = render(ridges, view, algorithm="sweep", filter="sun")
     np.testing.assert_allclose(soft.visibility, 0.75, atol=0.02)
 
 
-def test_layers_have_the_map_s_size(ridges):
+def test_supersampled_layers_have_the_maps_size(ridges):
     view = view_of(ridges, 8)
     frame = render_frame(ridges, view, plan_of(ridges, view, algorithm="sweep"), layers=frozenset({"shadow-height"}))
     height = frame.layers["shadow-height"]["sun"]
     assert height.shape == (8, 8) and np.isfinite(height).all()
-    # Of the eight nodes across: 2.5 m on the crest, 1.5 m and 0.5 m in its shadow.
+    # The eight nodes across have 2.5 m on the crest, and 1.5 m and 0.5 m in its shadow.
     np.testing.assert_allclose(height, 4.5 / 8, atol=1e-3)
 
 
 @pytest.mark.parametrize("algorithm", ["hybrid", "shadow_volume"])
-def test_layers_of_marks_have_it_too(ridges, algorithm):
+def test_supersampled_mark_layers_have_the_maps_size(ridges, algorithm):
     view = view_of(ridges, 8)
     frame = render_frame(ridges, view, plan_of(ridges, view, algorithm=algorithm), layers=frozenset({"silhouettes"}))
     assert frame.layers["silhouettes"]["sun"].shape == (8, 8)
 
 
-def test_means_leave_out_what_is_not_there():
+def test_means_in_pixels_ignore_invalid_nodes():
     grid = Grid(None, 2.0, -2.0, 4.0)
     view = MapView(grid, 0.0, 0.0, 1.0, 1.0, 1, 3)
     nodes = MapView(grid.subdivided(2), 0.0, 0.0, 1.0, 1.0, 4, 12)
@@ -197,14 +197,14 @@ def test_means_leave_out_what_is_not_there():
     np.testing.assert_array_equal(largest_in_pixels(view, nodes, (2 * values).astype(np.uint8)), [[2, 0, 0]])
 
 
-def test_by_night_all_is_dark(ridges):
+def test_supersampling_at_night_is_dark(ridges):
     night = ridges.with_sun(SunSpec(azimuth=90.0, altitude=-10.0))
     assert (render(night, view_of(night, 8)).visibility == 0.0).all()
 
 
 @pytest.mark.parametrize("finer", [lambda grid: grid.refined(), lambda grid: grid.subdivided(1), lambda grid: grid.subdivided(2)])
-def test_means_of_what_is_lit_are_counted_as_means_of_numbers(finer):
-    """Where pixels cut squares alike they are counted in whole numbers: to the bit the same."""
+def test_means_in_pixels_of_booleans_equal_means_of_floats(finer):
+    """Pixels that cut squares alike are counted in integers, with results equal to the bit."""
     random = np.random.default_rng(1)
     grid = Grid(tile_grid(MERCATOR, 0).crs, 0.5, -0.5, 1.0)
     view = MapView(grid, 16.0, 24.0, 1.0, 1.0, 9, 7)

@@ -1,4 +1,4 @@
-"""Filling a light's visibility: the product of its steps, and nothing looked for where haze hides the answer."""
+"""Visibility of a light: the product of its steps, without sampling where haze hides the result."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def hazy(tmp_path_factory) -> Scene:
 
 
 def filled(scene: Scene, light: str, effects: set[str]) -> tuple[np.ndarray, np.ndarray]:
-    """A light's visibility at the points of the view (n,), and whether haze hides each."""
+    """Return a light's visibility at the points of the view (n,), and whether haze hides each."""
     view = scene.view("eye")
     buffer = geometry_buffer(scene, view)
     steps = plan_of(scene, view, algorithm="shadow_volume").steps_under(light)
@@ -41,7 +41,7 @@ def filled(scene: Scene, light: str, effects: set[str]) -> tuple[np.ndarray, np.
     return found[buffer.valid], hidden[buffer.valid]
 
 
-def test_the_sun_is_not_looked_for_where_haze_hides_the_answer(gl, hazy):
+def test_fill_steps_skips_the_sun_at_points_hidden_by_haze(gl, hazy):
     clear, hidden = filled(hazy, "sun", set())
     cut, _ = filled(hazy, "sun", {"haze"})
     assert np.count_nonzero(clear[hidden] < 0.5) > 50 and np.count_nonzero(clear[~hidden] < 0.5) > 50
@@ -49,19 +49,19 @@ def test_the_sun_is_not_looked_for_where_haze_hides_the_answer(gl, hazy):
     np.testing.assert_array_equal(cut[~hidden], clear[~hidden])
 
 
-def test_a_lamp_is_looked_for_however_thick_the_air(gl, hazy):
+def test_fill_steps_samples_lamps_in_any_haze(gl, hazy):
     clear, _ = filled(hazy, "lamp", set())
     cut, _ = filled(hazy, "lamp", {"haze"})
     assert np.count_nonzero(clear < 0.5) > 50
     np.testing.assert_array_equal(cut, clear)
 
 
-def test_a_map_is_seen_from_no_distance(hazy):
+def test_without_hidden_points_keeps_all_points_of_a_map(hazy):
     buffer = geometry_buffer(hazy, hazy.view(size=(32, 32)))
     assert without_hidden_points(buffer, hazy, "sun", {"haze"}) is buffer
 
 
-def test_kinds_that_are_filled_apart_multiply(gl, hazy):
+def test_fill_steps_multiplies_caster_kinds(gl, hazy):
     view = hazy.view("eye")
     buffer = geometry_buffer(hazy, view)
     casters = find_casters(hazy, buffer)
@@ -74,7 +74,7 @@ def test_kinds_that_are_filled_apart_multiply(gl, hazy):
     assert (fill_steps([], buffer, hazy, casters, (), PassLog()) == 1.0).all()
 
 
-def test_without_refraction_the_sun_is_where_it_is(write_raster, make_scene):
+def test_with_apparent_sun_without_refraction_lowers_the_sun(write_raster, make_scene):
     raster = write_raster(np.zeros((8, 8), np.float32), "EPSG:32633", 500_000, 5_300_000, 10.0)
     scene = make_scene(raster).with_sun(SunSpec(time="2024-06-21T20:30:00+02:00"))
     assert with_apparent_sun(scene, {"refraction"}) is scene

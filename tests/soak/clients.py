@@ -1,4 +1,4 @@
-"""Clients that ask a service a lot, over connections that stay open, and note how long each answer took."""
+"""Clients that load a service over connections that stay open, and record the latency of each answer."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 
 @dataclass
 class Answers:
-    """What came back: statuses, seconds, and how often a refusal said when to come back."""
+    """Statuses and latencies in seconds, and the number of refusals with a Retry-After header."""
 
     statuses: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     told_when: int = 0
 
     def ms(self, share: float, status: int | None = None) -> float:
-        """The time within which a share of the answers came, milliseconds."""
+        """Return the latency within which a share of the answers came, milliseconds."""
         chosen = [took for took, got in zip(self.seconds, self.statuses, strict=True) if status in (None, got)]
         return float(np.quantile(chosen, share) * 1000.0) if chosen else float("nan")
 
@@ -39,7 +39,7 @@ class Answers:
 
 
 class Connection:
-    """One connection, opened anew where the service has ended it."""
+    """One connection, reopened where the service has closed it."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -47,14 +47,14 @@ class Connection:
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
     async def get(self, path: str, answers: Answers, headers: str = "") -> dict[str, str]:
-        """Ask once, and keep the answer's ``body``; what goes wrong counts as status 0."""
+        """Send one request, store the answer's ``body`` and return its headers; failures count as status 0."""
         began = time.perf_counter()
         self.body = b""
         found: dict[str, str] = {}
         request = f"GET {path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n".encode()
         try:
             first_line = b"" if self._streams is None else await self._ask(request)
-            if not first_line:  # the service ends connections that were idle for some seconds
+            if not first_line:  # the service closes connections that were idle for some seconds
                 self.close()
                 self._streams = await asyncio.open_connection("127.0.0.1", self._port)
                 first_line = await self._ask(request)
@@ -74,7 +74,7 @@ class Connection:
         return found
 
     async def _ask(self, request: bytes) -> bytes:
-        """The first line of the answer; empty where the connection has ended."""
+        """Return the first line of the answer; empty where the connection has been closed."""
         assert self._streams is not None
         reader, writer = self._streams
         try:
@@ -90,7 +90,7 @@ class Connection:
 
 
 async def closed_loop(port: int, path: Callable[[], str], clients: int, seconds: float) -> Answers:
-    """Clients that each ask again as soon as they have their answer."""
+    """Run clients that each send the next request as soon as they have an answer."""
     answers = Answers()
 
     async def one() -> None:
@@ -106,8 +106,9 @@ async def closed_loop(port: int, path: Callable[[], str], clients: int, seconds:
 async def open_loop(
     port: int, path: Callable[[], str], per_second: float, seconds: float, headers: str = "", skip_s: float = 0.0
 ) -> Answers:
-    """Requests at a steady rate, whether or not those before have been answered; what came in the first ``skip_s`` seconds is not
-    noted.
+    """Send requests at a steady rate, whether or not earlier ones have been answered.
+
+    Answers to the requests of the first ``skip_s`` seconds are not recorded.
     """
     answers, skipped, free, running = Answers(), Answers(), list[Connection](), set[asyncio.Task[None]]()
 

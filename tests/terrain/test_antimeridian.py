@@ -1,4 +1,4 @@
-"""A raster across the antimeridian, with longitudes beyond 180 degrees as many tools write them, is a level like any other."""
+"""Rasters across the antimeridian, with longitudes beyond 180 degrees, work like other rasters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def hills(lon: float, lat: float, write_raster, make_scene, **keys):
 
 @pytest.mark.parametrize("west", [179.7, -180.3])
 @pytest.mark.parametrize("lat", [-17.0, 66.0])
-def test_its_map_lies_in_its_utm_zone_and_holds_all_of_it(write_raster, make_scene, west, lat):
+def test_map_across_the_antimeridian_is_in_its_utm_zone(write_raster, make_scene, west, lat):
     scene = hills(west + 0.3, lat, write_raster, make_scene)
     view = scene.view()
     zone = scene.map_crs.to_epsg()
@@ -29,12 +29,12 @@ def test_its_map_lies_in_its_utm_zone_and_holds_all_of_it(write_raster, make_sce
     np.testing.assert_allclose(bounds[2:] - bounds[:2], metres, rtol=0.15)
 
 
-def test_it_is_shaded_as_the_same_ground_is_elsewhere(write_raster, make_scene):
+def test_shadows_across_the_antimeridian_equal_those_elsewhere(write_raster, make_scene):
     from skugga.selector.select import plan_of_view
     from skugga.shadows.render import render_frame
 
     shares = []
-    for lon in (180.0, 6.0):  # both between two zones
+    for lon in (180.0, 6.0):  # both lie between two zones
         scene = hills(lon, -17.0, write_raster, make_scene)
         frame = render_frame(
             scene, scene.view(size=(96, 96)), plan_of_view(scene, scene.view(size=(96, 96)), "map", policy="rules")
@@ -45,10 +45,10 @@ def test_it_is_shaded_as_the_same_ground_is_elsewhere(write_raster, make_scene):
     assert shares[0] == pytest.approx(shares[1], abs=0.01)
 
 
-def test_where_a_crs_ends_it_is_told_what_helps(write_raster, make_scene):
+def test_crs_that_ends_at_the_antimeridian_gives_a_remedy(write_raster, make_scene):
     scene = hills(180.0, -17.0, write_raster, make_scene)
     with pytest.raises(InputError, match="crs: .*Pseudo-Mercator.*UTM zone, or bounds"):
         scene.view(crs="EPSG:3857")
     scene.view(crs="EPSG:4326")
-    scene.view(crs="EPSG:3460")  # Fiji's own
+    scene.view(crs="EPSG:3460")  # the CRS of Fiji
     scene.view(crs="EPSG:3857", bounds=(20_005_000, -1_920_000, 20_035_000, -1_890_000))

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, whatever ends the writing."""
+"""Atomic writes: a file or set of files is replaced completely, or not at all after an error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_text_and_bytes_are_written_as_they_are(tmp_path):
+def test_text_and_bytes_are_written_unchanged(tmp_path):
     write_atomically(tmp_path / "a.txt", "Höhe\r\n")
     write_atomically(tmp_path / "b.bin", bytes(range(256)))
     assert (tmp_path / "a.txt").read_bytes() == "Höhe\r\n".encode()
@@ -27,7 +27,7 @@ def test_text_and_bytes_are_written_as_they_are(tmp_path):
     assert names(tmp_path) == ["a.txt", "b.bin"]
 
 
-def test_a_disk_that_fills_up_leaves_the_file_that_was_there(tmp_path, full_disk):
+def test_full_disk_keeps_the_old_file(tmp_path, full_disk):
     path = tmp_path / "a.bin"
     write_atomically(path, b"old")
     with full_disk(1000), pytest.raises(OSError, match="large") as caught:
@@ -37,7 +37,7 @@ def test_a_disk_that_fills_up_leaves_the_file_that_was_there(tmp_path, full_disk
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_what_ends_the_writing_leaves_the_file_that_was_there_and_nothing_beside_it(tmp_path, error):
+def test_interrupted_write_keeps_the_old_file(tmp_path, error):
     path = tmp_path / "a.bin"
     path.write_bytes(b"old")
     with pytest.raises(error), atomic_path(path) as part:
@@ -52,7 +52,7 @@ def test_writing_nothing_is_an_error(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_what_is_synced_before_it_takes_its_place(tmp_path, monkeypatch):
+def test_file_is_synced_before_it_is_moved(tmp_path, monkeypatch):
     order = []
     fsync, replace = os.fsync, os.replace
     monkeypatch.setattr("skugga.terrain.atomic_files.os.fsync", lambda number: (order.append("sync"), fsync(number)))
@@ -61,7 +61,7 @@ def test_what_is_synced_before_it_takes_its_place(tmp_path, monkeypatch):
     assert order == ["sync", "replace", "sync"]
 
 
-def test_a_file_keeps_its_rights_and_a_link_stays_one(tmp_path):
+def test_permissions_and_symbolic_links_are_kept(tmp_path):
     (tmp_path / "other").mkdir()
     target = tmp_path / "other" / "a.bin"
     target.write_bytes(b"old")
@@ -72,13 +72,13 @@ def test_a_file_keeps_its_rights_and_a_link_stays_one(tmp_path):
     assert (tmp_path / "link.bin").is_symlink()
 
 
-def test_a_new_file_has_the_rights_of_new_files(tmp_path):
+def test_new_file_has_default_permissions(tmp_path):
     (tmp_path / "usual").write_bytes(b"")
     write_atomically(tmp_path / "a.bin", b"new")
     assert (tmp_path / "a.bin").stat().st_mode == (tmp_path / "usual").stat().st_mode
 
 
-def test_a_folder_and_a_file_without_a_folder_are_refused_by_their_own_name(tmp_path):
+def test_error_names_the_target_path(tmp_path):
     with pytest.raises(IsADirectoryError) as caught:
         write_atomically(tmp_path, b"new")
     assert caught.value.filename == str(tmp_path)
@@ -87,7 +87,7 @@ def test_a_folder_and_a_file_without_a_folder_are_refused_by_their_own_name(tmp_
     assert missing.value.filename == str(tmp_path / "nowhere" / "a.bin")
 
 
-def test_a_pipe_is_written_into(tmp_path):
+def test_named_pipe_is_written_directly(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     read = []
@@ -98,12 +98,12 @@ def test_a_pipe_is_written_into(tmp_path):
     assert read == [b"new"] and names(tmp_path) == ["pipe"]
 
 
-def test_a_long_name_is_no_hindrance(tmp_path):
+def test_long_file_name_is_written(tmp_path):
     write_atomically(tmp_path / ("x" * 251 + ".bin"), b"new")
     assert names(tmp_path) == ["x" * 251 + ".bin"]
 
 
-def test_an_error_of_another_file_keeps_its_name(tmp_path):
+def test_error_of_another_file_keeps_its_name(tmp_path):
     with pytest.raises(FileNotFoundError) as caught, atomic_path(tmp_path / "a.bin"):
         (tmp_path / "missing.txt").read_bytes()
     assert caught.value.filename == str(tmp_path / "missing.txt")
@@ -119,7 +119,7 @@ def write_three(folder: Path, content: bytes) -> None:
             (part / name).write_bytes(content)
 
 
-def test_files_that_belong_together_are_written_together(tmp_path):
+def test_atomic_folder_writes_files_together(tmp_path):
     folder = tmp_path / "new"
     write_three(folder, b"first")
     (folder / "d").write_bytes(b"mine")
@@ -132,7 +132,7 @@ def test_files_that_belong_together_are_written_together(tmp_path):
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 @pytest.mark.parametrize("is_there", [True, False])
-def test_what_ends_the_writing_of_files_leaves_those_that_were_there(tmp_path, error, is_there):
+def test_interrupted_folder_write_keeps_the_old_files(tmp_path, error, is_there):
     folder = tmp_path / "frames"
     if is_there:
         write_three(folder, b"old")
@@ -144,8 +144,8 @@ def test_what_ends_the_writing_of_files_leaves_those_that_were_there(tmp_path, e
 
 
 @pytest.mark.parametrize("call", range(7))
-def test_what_ends_the_moving_of_files_moves_them_back(tmp_path, call, monkeypatch):
-    """At any of the moves: of a, of b, which was not there, and of c."""
+def test_interrupted_move_is_rolled_back(tmp_path, call, monkeypatch):
+    """The interrupt comes at each of the moves: of a, of b, which is new, and of c."""
     folder, calls, replace = tmp_path / "frames", [], os.replace
     write_three(folder, b"old")
     (folder / "b").unlink()
@@ -166,7 +166,7 @@ def test_what_ends_the_moving_of_files_moves_them_back(tmp_path, call, monkeypat
         assert contents(folder) == dict.fromkeys("abc", b"new")
 
 
-def test_a_folder_in_the_place_of_a_file_is_no_file(tmp_path):
+def test_folder_in_place_of_a_file_is_an_error(tmp_path):
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "mine").write_bytes(b"mine")
     with pytest.raises(IsADirectoryError) as caught:
@@ -174,14 +174,14 @@ def test_a_folder_in_the_place_of_a_file_is_no_file(tmp_path):
     assert caught.value.filename == str(tmp_path / "b") and names(tmp_path) == ["b"] and names(tmp_path / "b") == ["mine"]
 
 
-def test_a_disk_that_fills_up_while_files_are_written(tmp_path, full_disk):
+def test_full_disk_keeps_the_old_files_of_a_folder(tmp_path, full_disk):
     write_three(tmp_path, b"old")
     with full_disk(1000), pytest.raises(OSError, match="large") as caught:
         write_three(tmp_path, bytes(5000))
     assert caught.value.filename == str(tmp_path) and contents(tmp_path) == dict.fromkeys("abc", b"old")
 
 
-def test_this_module_needs_nothing_but_the_standard_library():
+def test_atomic_files_imports_only_the_standard_library():
     code = "import sys, skugga.terrain.atomic_files; print('numpy' in sys.modules or 'rasterio' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
@@ -214,7 +214,7 @@ TEMPORARY = {
     "terrain/atomic_files.py": "the place where files are written",
     "terrain/trees/cached_pictures.py": "inside of what replaces a file",
 }
-"""Modules that write by other means, and what they write."""
+"""Modules that write in other ways, and what they write."""
 
 WRITING = re.compile(
     r"""\.write_(?:text|bytes)\(|\bopen\([^)]*["'][wax]b?\+?["']|\.(?:save|savefig|savez\w*|tofile)\(|np\.save\(|"""
@@ -230,12 +230,12 @@ def writing_modules():
                 yield str(path.relative_to(root))
 
 
-def test_files_are_written_in_one_place():
+def test_only_atomic_files_writes_files():
     found = set(writing_modules())
     assert found == set(TEMPORARY), "skugga.terrain.atomic_files writes files"
 
 
-def test_what_a_killed_writer_left_is_deleted(tmp_path: Path):
+def test_partial_files_of_a_killed_writer_are_deleted(tmp_path: Path):
     path, other = tmp_path / "a[1].bin", tmp_path / "a1.bin"
     for target in (path, other):
         with atomic_path(target) as part:

@@ -1,4 +1,4 @@
-"""What is kept: bounds, keys, how long values last, and that no module keeps anything in a way of its own."""
+"""Caches: size limits, keys, lifetimes, and a check that modules use no other kind of cache."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Ground:
-    """Compares by identity, as scenes and what they are made of do."""
+    """Compares by identity, like scenes and their parts."""
 
 
 class Standing:
-    """Something that stands on a ground."""
+    """An object with an elevation."""
 
     def __init__(self, elevation: Ground) -> None:
         self.elevation = elevation
 
 
-def test_the_values_used_last_stay_within_the_bytes():
+def test_most_recently_used_values_stay_within_the_limit():
     cache: Cache[bytes] = Cache("test", "process", 30, len)
     for number in range(3):
         cache.put(number, value=bytes(10))
@@ -44,14 +44,14 @@ def test_the_values_used_last_stay_within_the_bytes():
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 40)), max_size=30), st.integers(1, 60))
-def test_bytes_are_counted_whatever_comes_and_goes(puts, limit):
+def test_byte_count_is_the_sum_of_all_values(puts, limit):
     cache: Cache[bytes] = Cache("test", "process", limit, len)
     for key, size in puts:
         cache.put(key, value=bytes(size))
         assert cache.nbytes == sum(map(len, cache.values)) <= limit
 
 
-def test_what_is_let_go_is_released_and_the_newest_one_is_not():
+def test_evicted_values_are_released_except_the_newest():
     released: list[str] = []
     cache: Cache[str] = Cache("test", "process", 5, len, released.append, max_entries=2)
     for word in ("ab", "cd", "e", "longer than that"):
@@ -61,7 +61,7 @@ def test_what_is_let_go_is_released_and_the_newest_one_is_not():
     assert released[-1] == "longer than that"
 
 
-def test_a_value_goes_with_what_it_was_made_from():
+def test_value_is_dropped_with_its_arguments():
     @cached("scene", 1000)
     def double(ground: Ground, row: np.ndarray, factor: int) -> np.ndarray:
         return factor * row
@@ -75,7 +75,7 @@ def test_a_value_goes_with_what_it_was_made_from():
     assert len(double.cache) == 0 == double.cache.nbytes
 
 
-def test_a_value_may_be_none_and_keys_may_be_named():
+def test_value_may_be_none_and_arguments_may_be_named():
     calls = []
 
     @cached("process", 1000)
@@ -87,7 +87,7 @@ def test_a_value_may_be_none_and_keys_may_be_named():
     assert calls == [(1, ""), (1, "a")]
 
 
-def test_a_key_of_ones_own():
+def test_custom_key():
     @cached("process", 1000, key=lambda number: (number % 2,))
     def parity(number: int) -> str:
         return f"like {number}"
@@ -95,7 +95,7 @@ def test_a_key_of_ones_own():
     assert [parity(number) for number in (1, 2, 3, 4)] == ["like 1", "like 2", "like 1", "like 2"]
 
 
-def test_what_lasts_for_a_light_is_forgotten_by_itself_and_a_scene_with_what_stands_on_it():
+def test_clear_caches_by_lifetime_or_scene():
     of_light, of_scene, of_process = (Cache(f"test {lifetime}", lifetime, 1000) for lifetime in ("light", "scene", "process"))
     mine, other = Ground(), Ground()
     all_of_them = of_light, of_scene, of_process
@@ -125,7 +125,7 @@ def test_caches_are_listed_by_name_while_they_live():
     assert "a test's own" not in [each.name for each in caches()]
 
 
-def test_bytes_of_all_that_a_value_holds():
+def test_bytes_of_counts_nested_values_once():
     array = np.zeros(1000)
     assert bytes_of(array) == 8000
     assert 8000 < bytes_of((array, array)) < 8200, "the same array counts once"
@@ -134,7 +134,7 @@ def test_bytes_of_all_that_a_value_holds():
 
 
 def keeps(source: str) -> list[str]:
-    """How a module keeps values in a way of its own: names of what it uses for that."""
+    """Return the names that a module uses for caches of its own."""
     found = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and node.module in ("functools", "cachetools"):
@@ -143,17 +143,17 @@ def keeps(source: str) -> list[str]:
             found += [node.attr] if node.attr in ("lru_cache", "cache") else []
         elif isinstance(node, ast.Name) and node.id in ("OrderedDict", "WeakKeyDictionary", "WeakValueDictionary"):
             found.append(node.id)
-    for node in ast.parse(source).body:  # a module's own dictionary that is filled as it goes
+    for node in ast.parse(source).body:  # a dictionary of the module that is filled at run time
         if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Dict) and not node.value.keys:
             found.append("a dictionary")
     return found
 
 
 QUEUES = {"api/workers/pool.py"}
-"""Modules with an ordered dictionary of jobs that wait, which keeps nothing that is done."""
+"""Modules with an ordered dictionary of pending jobs, which does not cache results."""
 
 
-def test_no_module_keeps_values_in_a_way_of_its_own():
+def test_no_module_has_a_cache_of_its_own():
     for floor in ("terrain", "shadows", "selector", "api"):
         for path in sorted((ROOT / floor).rglob("*.py")):
             name = str(path.relative_to(ROOT))
@@ -168,12 +168,12 @@ def test_no_module_keeps_values_in_a_way_of_its_own():
         "from cachetools import TTLCache", "_kept: dict[str, int] = {}", "import collections\n_kept = OrderedDict()",
     ],
 )  # fmt: skip
-def test_other_ways_of_keeping_are_noticed(source):
+def test_other_kinds_of_caches_are_detected(source):
     assert keeps(source)
 
 
-def test_what_no_python_object_shows_is_counted_too():
-    """Files in memory, PROJ's transformations and Embree's trees."""
+def test_bytes_outside_of_python_are_counted():
+    """Files in memory, PROJ transformations and Embree trees."""
     from skugga.terrain.casters.rays import TRIANGLE_BYTES, RayScene
     from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
     from skugga.terrain.level.bundled import BUNDLED

@@ -1,4 +1,4 @@
-"""A camera's way through keys: where it passes, how fast, how high, and what it is refused."""
+"""Camera paths through keys: position, speed, height, and rejected paths."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def path_of(scene: Scene, *keys: tuple[str, tuple, tuple], **more) -> CameraPath
 
 
 def eye(path: CameraPath, time_s: float) -> np.ndarray:
-    """East, north, up (3,) in metres on the floor, whose earth is the anchor's frame."""
+    """Return east, north and up (3,) in metres on the floor, where the earth frame is the anchor frame."""
     return path.view_at(time_s, ROWS, COLS).eye_earth_m
 
 
-def test_a_way_along_a_line_is_that_line(floor):
-    """At one speed between its second key and the last but one; it starts and stops without a jerk."""
+def test_path_along_a_line_stays_on_the_line(floor):
+    """The speed is constant between the second key and the last but one. The path starts and stops smoothly."""
     path = path_of(floor, *((f"{n}s", (10 * n, -20 * n, 5 + n), (0, 0, 0)) for n in range(5)))
     start, along = eye(path, 0.0), np.array([10.0, -20.0, 1.0])
     middle = np.linspace(1.0, 3.0, 21)
@@ -58,8 +58,8 @@ def test_a_way_along_a_line_is_that_line(floor):
     assert np.linalg.norm(eye(path, 0.01) - start) < 0.01
 
 
-def test_at_its_keys_the_view_is_that_of_the_same_words_in_a_level(hills):
-    """Over real ground, to the bit."""
+def test_view_at_a_key_equals_the_view_of_a_level(hills):
+    """Equal bit for bit, over real ground."""
     views = [view for view in hills.loaded.level.views.values() if view.kind == "perspective"]
     assert views
     for view in views:
@@ -70,7 +70,7 @@ def test_at_its_keys_the_view_is_that_of_the_same_words_in_a_level(hills):
         assert (found.earth_from_camera == wanted.earth_from_camera).all()
 
 
-def test_the_way_has_one_velocity_on_both_sides_of_a_key(floor):
+def test_velocity_is_continuous_at_keys(floor):
     keys = [
         ("0s", (0, 0, 5), (9, 9, 0)),
         ("1s", (30, 5, 9), (9, 0, 0)),
@@ -84,8 +84,8 @@ def test_the_way_has_one_velocity_on_both_sides_of_a_key(floor):
         assert np.linalg.norm(before[:2]) > 1.0
 
 
-def test_a_camera_that_stays_at_a_place_rests_there(floor):
-    """Which a spline that is twice differentiable does not: it swings."""
+def test_camera_rests_between_equal_keys(floor):
+    """A twice differentiable spline would overshoot."""
     here, far = (0, 0, 5), (80, 10, 30)
     path = path_of(floor, ("0s", here, (9, 9, 0)), ("2s", far, (9, 9, 0)), ("5s", far, (9, 9, 0)), ("6s", here, (9, 9, 0)))
     resting = [eye(path, time) for time in np.linspace(2.0, 5.0, 13)]
@@ -97,7 +97,7 @@ HEIGHTS = st.lists(st.floats(1.0, 500.0), min_size=2, max_size=6)
 
 
 @given(HEIGHTS, st.data())
-def test_between_two_keys_it_is_never_lower_or_higher_than_both(floor, heights, data):
+def test_height_stays_between_those_of_adjacent_keys(floor, heights, data):
     gaps = data.draw(st.lists(st.floats(0.01, 100.0), min_size=len(heights), max_size=len(heights)))
     times = np.round(np.cumsum(gaps), 2)
     keys = [
@@ -111,7 +111,7 @@ def test_between_two_keys_it_is_never_lower_or_higher_than_both(floor, heights, 
         assert low - 1e-6 <= min(found) and max(found) <= high + 1e-6
 
 
-def test_before_and_after_its_keys_it_rests(floor):
+def test_camera_rests_before_and_after_its_keys(floor):
     path = path_of(floor, ("2s", (0, 0, 5), (9, 9, 0)), ("3s", (50, 0, 5), (9, 9, 0)))
     assert (eye(path, 0.0) == eye(path, 2.0)).all() and (eye(path, 99.0) == eye(path, 3.0)).all()
     assert np.linalg.norm(eye(path, 0.0) - eye(path, 99.0)) == pytest.approx(50.0)
@@ -128,8 +128,8 @@ def test_dates_are_counted_from_the_first_frame(hills):
         camera_path(dated, hills.place, None)
 
 
-def test_across_the_antimeridian_it_takes_the_short_way(hills):
-    """Longitudes as written, -360 here: no turn round the earth between two keys."""
+def test_path_across_the_antimeridian_is_the_short_one(hills):
+    """Longitudes differ by 360 degrees as written: the path does not circle the earth between two keys."""
     view = next(view for view in hills.loaded.level.views.values() if view.kind == "perspective")
     lon, lat, height = view.eye
     path = path_of(hills, ("0s", (lon, lat, height), view.target), ("2s", (lon + 360.001, lat, height), view.target))
@@ -150,14 +150,12 @@ def test_keys_off_the_data_are_named(floor, keys, name, allowed):
     assert (caught.value.name, caught.value.allowed) == (name, allowed)
 
 
-def test_a_way_off_the_data_or_under_the_ground_is_refused_where_it_is(floor, hills):
+def test_path_off_the_data_or_below_the_ground_is_rejected(floor, hills):
     under = path_of(floor, ("0s", (0, 0, 5), (9, 9, 0)), ("1s", (50, 0, -5), (9, 9, 0)))
     assert under.view_at(0.49, ROWS, COLS)
-    with pytest.raises(
-        InputError, match="eye: the camera goes under the ground, -3.44 m above it. Keep the camera more than 0 m above the ground"
-    ):
+    with pytest.raises(InputError, match="eye: the camera is 3.44 m below the ground. Keep the camera above the ground"):
         under.view_at(0.75, ROWS, COLS)
-    # A bow that swings off the floor, although its keys lie on it.
+    # This curve leaves the floor although its keys lie on it.
     bow = path_of(
         floor, *((f"{n}s", at, (0, 0, 0)) for n, at in enumerate([(150, -150, 5), (199, -60, 5), (199, 60, 5), (150, 150, 5)]))
     )

@@ -1,4 +1,4 @@
-"""Climate: ice above the snow line, deserts and tundra, by latitude and height alone; the same in every map and tile."""
+"""Climate colours: ice above the snow line, deserts and tundra, by latitude and height, equal in every map and tile."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HEIGHTS = np.arange(-500.0, 7001.0, 50.0)
 
 
 def srgb_at(latitude: float, height: float) -> np.ndarray:
-    """The colour (3,) in [0, 255] of a place, of the nearest row of the table."""
+    """Return the colour (3,) in [0, 255] of a place, from the nearest row of the table."""
     row = round((np.sin(np.radians(latitude)) + 1.0) / 2.0 * (LATITUDES - 1))
     return 255.0 * climate_srgb(OWN, np.array([height]))[row, 0]
 
@@ -38,11 +38,11 @@ def of_ramp(ramp, height: float) -> np.ndarray:
     ("latitude", "height", "ramp", "apart"),
     [
         (-75.0, 3200.0, ICE, 0.5),  # Antarctica
-        (-72.0, 20.0, ICE, 0.5),  # its coast
+        (-72.0, 20.0, ICE, 0.5),  # coast of Antarctica
         (72.0, 2500.0, ICE, 0.5),  # Greenland
-        (72.0, 50.0, TUNDRA, 0.5),  # its coast, and Siberia's
-        (46.0, 3600.0, ICE, 0.5),  # the Alps' summits
-        (46.0, 1500.0, OWN, 0.0),  # their valleys
+        (72.0, 50.0, TUNDRA, 0.5),  # coasts of Greenland and Siberia
+        (46.0, 3600.0, ICE, 0.5),  # summits of the Alps
+        (46.0, 1500.0, OWN, 0.0),  # valleys of the Alps
         (28.0, 6500.0, ICE, 0.5),  # the Himalaya
         (60.0, 100.0, OWN, 0.1),  # Oslo
         (51.0, 30.0, OWN, 0.0),  # London
@@ -51,12 +51,12 @@ def of_ramp(ramp, height: float) -> np.ndarray:
         (-42.0, 200.0, OWN, 0.0),  # Tasmania
     ],
 )
-def test_places_have_their_colours(latitude, height, ramp, apart):
+def test_known_places_have_their_climate_colours(latitude, height, ramp, apart):
     assert np.abs(srgb_at(latitude, height) - of_ramp(ramp, height)).max() <= apart
 
 
-def test_deserts_are_of_sand():
-    """Redder than green, where meadows are greener than red."""
+def test_deserts_have_the_colour_of_sand():
+    """Deserts are more red than green; meadows are more green than red."""
     for latitude in (24.0, -24.0):
         for height in (50.0, 500.0, 1000.0):
             red, green, blue = srgb_at(latitude, height)
@@ -66,7 +66,7 @@ def test_deserts_are_of_sand():
             ).max()  # fmt: skip
 
 
-def test_middle_latitudes_are_the_styles_own_ramp_below_the_snow_line():
+def test_middle_latitudes_have_the_ramp_of_the_style():
     latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDES)))
     colors, own = climate_srgb(OWN, HEIGHTS), ramp_srgb(OWN, HEIGHTS)
     middle = (latitude > 36.0) & (latitude < 60.0)
@@ -75,12 +75,12 @@ def test_middle_latitudes_are_the_styles_own_ramp_below_the_snow_line():
     assert (np.abs(colors - own)[middle][below[middle]] == 0.0).all()
 
 
-def test_the_bottom_of_the_sea_has_no_climate():
+def test_sea_floor_has_no_climate():
     assert np.allclose(climate_srgb(OWN, np.array([-4000.0, -500.0])), ramp_srgb(OWN, np.array([-4000.0, -500.0])))
 
 
 @pytest.mark.parametrize("name", [name for name, style in STYLES.items() if not style.has_climate])
-def test_other_styles_have_one_ramp(name):
+def test_styles_without_climate_have_one_ramp(name):
     assert len(tint_table(STYLES[name].ramp, STYLES[name].has_climate)) == 1
 
 
@@ -93,15 +93,15 @@ RASTERS = {
 
 @pytest.fixture(params=RASTERS)
 def hilly(request, write_raster, make_scene):
-    """Hilly ground of 160 x 160 cells of 120 m, where its colours change with latitude."""
+    """Return hilly ground of 160 x 160 cells of 120 m, in a region where colours change with latitude."""
     crs, x0, y0, base = RASTERS[request.param]
     row, col = np.mgrid[:160, :160]
     waves = 250.0 * np.sin(row / 11.0) * np.cos(col / 13.0)
     return make_scene(write_raster((base + waves).astype(np.float32), crs, x0, y0, 120.0), 225.0, 30.0, style="natural")
 
 
-def test_the_fast_path_has_the_same_climate(gl, hilly):
-    """The loop that shades bare ground row by row, and the one that shades any buffer."""
+def test_fast_path_has_the_same_climate(gl, hilly):
+    """Compare the loop that shades bare ground row by row with the loop that shades any buffer."""
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), 10)
     (north, south), (west, east) = extent_on_grid(hilly.world, hilly.elevation, grid)
     rows, cols = int(south - north) // 2, int(east - west) // 2
@@ -120,8 +120,8 @@ def test_the_fast_path_has_the_same_climate(gl, hilly):
 
 @pytest.mark.parametrize("latitude", [-70.0, -24.0, 25.0, 45.0, 66.0, 80.0])
 @pytest.mark.parametrize("height", [20.0, 900.0, 3100.0])
-def test_a_place_has_one_colour_in_all_maps(write_raster, make_scene, latitude, height):
-    """Ground of one height in a raster of degrees, seen in two CRSs and at two sizes of pixels: by the closed form."""
+def test_place_has_one_colour_in_all_maps(write_raster, make_scene, latitude, height):
+    """Ground of constant height in a raster of degrees, in two CRSs and at two pixel sizes, has the closed-form colour."""
     heights = np.full((60, 60), height, np.float32)
     heights[0, 0] += 50.0
     scene = make_scene(write_raster(heights, "EPSG:4326", 10.0, latitude + 0.5, 1.0 / 60.0), 180.0, 30.0)

@@ -1,4 +1,4 @@
-"""Rows and other parts that cores share."""
+"""Row ranges and tasks on several cores."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from skugga.terrain.compiled import map_on_cores, run_in_chunks
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
 @pytest.mark.parametrize("rows", [0, 1, 3, 7, 64, 1001])
-def test_each_row_is_in_one_share(monkeypatch, cores, rows):
+def test_chunks_contain_each_row_once(monkeypatch, cores, rows):
     monkeypatch.setattr(compiled_module, "CORES", cores)
     met = np.zeros(rows, np.int64)
 
@@ -22,7 +22,7 @@ def test_each_row_is_in_one_share(monkeypatch, cores, rows):
     assert (met == 3).all()
 
 
-def test_what_a_share_raises_is_raised(monkeypatch):
+def test_error_of_a_chunk_is_raised(monkeypatch):
     monkeypatch.setattr(compiled_module, "CORES", 2)
 
     def fail(first: int, last: int) -> None:
@@ -33,13 +33,13 @@ def test_what_a_share_raises_is_raised(monkeypatch):
 
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
-def test_parts_on_cores_are_all_done_and_in_order(cores):
+def test_map_on_cores_returns_all_results_in_order(cores):
     assert map_on_cores(lambda part: part * part, range(7), cores) == [0, 1, 4, 9, 16, 25, 36]
     assert map_on_cores(lambda part: part, [], cores) == []
 
 
 @pytest.mark.parametrize("cores", [1, 3])
-def test_parts_on_cores_may_share_rows_out_themselves(monkeypatch, cores):
+def test_tasks_on_cores_may_run_chunks(monkeypatch, cores):
     monkeypatch.setattr(compiled_module, "CORES", 2)
     met = np.zeros((6, 40), np.int64)
 
@@ -53,6 +53,6 @@ def test_parts_on_cores_may_share_rows_out_themselves(monkeypatch, cores):
     assert (met == 1).all()
 
 
-def test_what_a_part_raises_is_raised():
+def test_error_of_a_task_is_raised():
     with pytest.raises(ZeroDivisionError):
         map_on_cores(lambda part: 1 // part, [1, 0], 2)

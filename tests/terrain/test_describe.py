@@ -1,4 +1,4 @@
-"""Descriptors as values: what may be written by hand, what is refused, and that the same view has the same one."""
+"""Descriptors: minimal and invalid values, round trips through JSON, and equal descriptors for equal views."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ IMPOSSIBLE = {
 
 
 @pytest.mark.parametrize("name", IMPOSSIBLE)
-def test_what_cannot_be_is_refused_by_name(name):
+def test_invalid_descriptor_names_the_field(name):
     with pytest.raises(ValidationError) as caught:
         Descriptor.model_validate(MINIMAL | IMPOSSIBLE[name])
     error = caught.value.errors()[0]
@@ -129,7 +129,7 @@ def test_what_cannot_be_is_refused_by_name(name):
     assert all(word in said for word in name.split()), said
 
 
-def test_nothing_else_need_be_known():
+def test_minimal_descriptor_is_enough_for_a_plan():
     descriptor = Descriptor.model_validate(MINIMAL)
     assert descriptor.pixels == 1024**2 and descriptor.stands == () and descriptor.lights == {}
     assert Descriptor.model_validate(MINIMAL | {"rows": 100, "cols": 200}).pixels == 20_000
@@ -137,14 +137,14 @@ def test_nothing_else_need_be_known():
     assert set(plan.algorithm["sun"]) == {"relief"}
 
 
-def test_the_example_of_the_page_is_valid():
+def test_example_in_the_docs_is_valid():
     text = (ROOT / "docs" / "descriptor.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
     descriptor = Descriptor.model_validate_json(example)
     assert make_plan(descriptor, StandaloneRequest(Shadows(), ("sun",))).algorithm["sun"].keys() == {"relief", "meshes"}
 
 
-def test_the_page_names_every_field():
+def test_docs_name_every_field():
     from skugga.terrain.facts.fact_types import CastBand, CasterFacts, Casting, LampFacts, LightFacts
 
     text = (ROOT / "docs" / "descriptor.md").read_text(encoding="utf-8")
@@ -154,7 +154,7 @@ def test_the_page_names_every_field():
 
 
 @pytest.mark.parametrize("fact", [np.inf, -np.inf, 2.5, True, "why", None])
-def test_facts_of_effects_come_back_from_json(fact):
+def test_facts_of_effects_round_trip_through_json(fact):
     descriptor = Descriptor.model_validate(MINIMAL | {"facts": {"haze": {"its": fact}}})
     assert Descriptor.model_validate_json(descriptor.model_dump_json()).facts["haze"]["its"] == fact
 
@@ -164,7 +164,7 @@ VIEWS = [("spatialace", "main"), ("spatialace", "map"), ("thesis_boxgrid", "main
 
 @pytest.mark.long
 @pytest.mark.parametrize(("level", "view"), VIEWS)
-def test_a_descriptor_is_the_same_from_json_and_in_every_process(level, view):
+def test_descriptor_is_equal_from_json_and_in_every_process(level, view):
     scene = scene_of(level)
     text = describe(scene, scene.view(view), view).model_dump_json()
     assert Descriptor.model_validate_json(text).model_dump_json() == text
@@ -178,7 +178,7 @@ def test_a_descriptor_is_the_same_from_json_and_in_every_process(level, view):
     assert json.loads(run.stdout) == json.loads(text)
 
 
-def test_another_sun_over_the_same_view_changes_its_light_alone():
+def test_another_sun_changes_only_its_light_facts():
     scene = scene_of("spatialace")
     view = scene.view("main")
     one, other = (describe(its, view, "main") for its in (scene, scene.with_sun(SunSpec(azimuth=20, altitude=60))))
@@ -186,7 +186,7 @@ def test_another_sun_over_the_same_view_changes_its_light_alone():
     assert one.lights["sun"] != other.lights["sun"]
 
 
-def test_what_a_map_says_does_not_depend_on_the_part_that_is_shown():
+def test_map_facts_do_not_depend_on_the_visible_part():
     scene = scene_of("jacksboro")
     view = scene.view("map", size=(512, 512))
     left, right = (describe(scene, view.part(0, col, 256, 256)) for col in (0, 256))
@@ -208,7 +208,7 @@ def test_thesis_boxes_are_closed_and_cast():
     assert (differs[:, -1] > differs[:, 1]).any()
 
 
-def test_a_spinning_caster_moves():
+def test_spinning_caster_moves():
     assert describe(*_view("spatialace", "map")).moves
     assert not describe(*_view("jacksboro", "map")).moves
 
@@ -218,8 +218,8 @@ def _view(level: str, view: str):
     return scene, scene.view(view), view
 
 
-def test_the_nearest_triangle_shows_wherever_its_corners_lie():
-    """A floor that reaches behind the eye fills the lower half of the picture, a plate before it the middle."""
+def test_rasterize_triangles_shows_the_nearest_one():
+    """A floor that extends behind the eye fills the lower half of the picture. A plate in front of it fills the middle."""
     scene = scene_of("thesis_room")
     view = scene.view("main", size=(64, 64))
     frame = view.frame(scene.world)
@@ -239,14 +239,14 @@ def test_the_nearest_triangle_shows_wherever_its_corners_lie():
 
 
 @given(st.floats(0, 1), st.floats(0, 1), st.floats(0, 180))
-def test_any_share_and_angle_that_can_be_is_taken(facing, cast, angle):
+def test_any_valid_share_and_angle_is_accepted(facing, cast, angle):
     facts = in_light(facing_share=facing, cast_share=cast, to_view_deg=angle)
     descriptor = Descriptor.model_validate(MINIMAL | facts)
     assert Descriptor.model_validate_json(descriptor.model_dump_json()) == descriptor
 
 
-def test_bands_reach_no_farther_than_the_view_and_hold_all_that_it_shows(tmp_path):
-    """A mountain of 4 km far away does not make what is seen up to a metre from the eye 8 km large."""
+def test_bands_contain_the_visible_points_and_little_more(tmp_path):
+    """A distant mountain of 4 km must not make the band within a metre of the eye 8 km large."""
     trimesh.creation.box(extents=(3000.0, 3000.0, 4000.0)).export(tmp_path / "mountain.ply")
     trimesh.creation.box(extents=(0.3, 0.3, 0.5)).export(tmp_path / "stone.ply")
     views = {"eye": {"kind": "perspective", "eye": [0, 0, 0.5], "target": [0.2, 1, 0.1], "fov": 70, "size": [96, 72]}}
@@ -270,5 +270,5 @@ def test_bands_reach_no_farther_than_the_view_and_hold_all_that_it_shows(tmp_pat
     for band in bands:
         in_light = (points[(distance_m > band.near_m) & (distance_m <= band.far_m)] @ rotation.T + translation)[
             :, 1:
-        ]  # what rises, rises there
+        ]  # the up and away axes, along which heights shift points
         assert len(in_light) and (in_light >= band.low_light_m[1:]).all() and (in_light <= band.high_light_m[1:]).all()

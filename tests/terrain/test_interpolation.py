@@ -1,4 +1,4 @@
-"""Interpolation says the same of arrays and in loops."""
+"""Interpolation functions: equal results for arrays and in compiled loops."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_smoothstep_is_flat_at_both_ends_and_clamped():
     assert smoothstep(0.25) == 0.15625
 
 
-def test_smoothstep_of_a_loop_is_that_of_arrays_to_the_bit():
+def test_smoothstep_of_arrays_and_loops_is_equal_bit_for_bit():
     shares = np.random.default_rng(1).uniform(-0.5, 1.5, 1000)
     out = np.empty_like(shares)
     _smooth_all(shares, out)
@@ -40,7 +40,7 @@ def test_smoothstep_of_a_loop_is_that_of_arrays_to_the_bit():
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (1, 7), (5, 1), (1, 1)])
-def test_look_ups_agree(shape):
+def test_bilinear_of_arrays_and_loops_agree(shape):
     rng = np.random.default_rng(2)
     values = rng.uniform(-100.0, 4000.0, shape).astype(np.float32)
     row, col = (rng.uniform(0.0, 1.0, 500) * (size - 1) for size in shape)
@@ -49,12 +49,12 @@ def test_look_ups_agree(shape):
     _look_up_all(values, row, col, False, found)
     _look_up_all(values, row, col, True, stepped)
     np.testing.assert_array_equal(found, expected)
-    # Differences of float32 corners up to 4,000 are right to half a unit in the last place, 2.4e-4 / 2, in each of three steps.
+    # Differences of float32 corners up to 4,000 are exact to half a unit in the last place, 2.4e-4 / 2, in each of three steps.
     np.testing.assert_allclose(stepped, expected, rtol=0.0, atol=1e-3)
     assert expected[0] == values[0, 0] and expected[1] == values[-1, -1]
 
 
-def test_look_ups_on_a_plane_are_the_plane():
+def test_bilinear_reproduces_a_plane():
     row, col = np.random.default_rng(3).uniform(0.0, 1.0, (2, 200)) * [[4.0], [6.0]]
     plane = 2.0 * np.arange(5.0)[:, None] + 3.0 * np.arange(7.0)
     found, stepped = np.empty(200), np.empty(200)
@@ -64,7 +64,7 @@ def test_look_ups_on_a_plane_are_the_plane():
         np.testing.assert_allclose(each, 2.0 * row + 3.0 * col, rtol=0.0, atol=1e-12)
 
 
-def test_bilinear_goes_by_the_layer_of_each_point():
+def test_bilinear_uses_the_layer_of_each_point():
     layers = np.arange(12.0).reshape(3, 2, 2)
     found = bilinear(layers, np.array([0.5, 0.5]), np.array([0.5, 0.5]), np.array([0, 2]))
     np.testing.assert_array_equal(found, [1.5, 9.5])

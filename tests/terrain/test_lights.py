@@ -1,4 +1,4 @@
-"""Lamps: where they are, which way they shine, how their light falls off, and that each light keeps to itself."""
+"""Lamps: position, direction, falloff, and independence of lights from each other."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def floor(write_raster) -> Path:
 
 @pytest.fixture
 def post(tmp_path) -> list[dict]:
-    """A box that can cast, 3 m high, its middle 30 m east of the floor's."""
+    """Return a mesh that casts shadows: a box 3 m high, with its centre 30 m east of the floor's centre."""
     trimesh.creation.box(extents=(4.0, 4.0, 3.0)).export(tmp_path / "post.obj")
     return [{"source": "post.obj", "at": [30, 0]}]
 
@@ -50,7 +50,7 @@ def spot(height: float = 10.0, cutoff: float = 30.0, **keys) -> dict:
 
 
 def square(scene: Scene, half: float = 40.0, px: int = 80):
-    """A map round the middle and its pixels' distances from it."""
+    """Return a map around the centre, and the coordinates of its pixels."""
     view = scene.view(bounds=(-half, -half, half, half), size=(px, px))
     x, y = view.grid.x(view.col0 + np.arange(px) * view.col_step), view.grid.y(view.row0 + np.arange(px) * view.row_step)
     x, y = np.meshgrid(x, y)
@@ -58,7 +58,7 @@ def square(scene: Scene, half: float = 40.0, px: int = 80):
 
 
 def shone(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Where some lights reach all that faces them, and the light (rows, cols, 3) of the lamps among them."""
+    """Return visibilities without cast shadows by light, and the light (rows, cols, 3) of the lamps among them."""
     buffer = geometry_buffer(scene, view)
     shines = {name: np.where(attached(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
     lamplight = np.zeros((*buffer.valid.shape, 3), np.float32)
@@ -67,13 +67,13 @@ def shone(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndar
 
 
 def light_of(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
-    """Linear colour (rows, cols, 3) of a view where some lights reach all that faces them."""
+    """Return the linear colour (rows, cols, 3) of a view under some lights, without cast shadows."""
     buffer = geometry_buffer(scene, view)
     shines, lamplight = shone(scene, view, names)
     return shade(buffer, scene, shines.get("sun", np.zeros(buffer.valid.shape, np.float32)), lamplight=lamplight)
 
 
-# -- where and which way
+# -- position and direction
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 3).map(np.array), st.tuples(*[st.floats(-1, 1)] * 3).map(np.array))
@@ -90,16 +90,16 @@ def test_axes_are_right_handed_upright_and_forward(forward, up):
 
 
 @pytest.mark.parametrize("number", range(3))
-def test_straight_down_along_an_axis_is_no_special_case(number):
-    """The vertical of any place of the globe, those along the axes too."""
+def test_axes_along_the_vertical_are_orthonormal(number):
+    """The vertical can be any direction on the globe, including the coordinate axes."""
     up = np.eye(3)[number]
     for way in (up, -up):
         axes = axes_along(way, up)
         np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
 
 
-def test_a_spot_on_the_globe_is_where_its_place_says(write_raster, make_scene):
-    """Position and target above the ground there; the distance is that of intensity 1."""
+def test_spot_on_the_globe_has_its_position_and_target(write_raster, make_scene):
+    """Position and target are heights above the local ground. At the distance of the target, the intensity is 1."""
     raster = write_raster(np.full((40, 40), 250.0, np.float32), UTM, X0, Y0, 10.0)
     to = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform
     a, b = to(X0 + 100, Y0 - 200), to(X0 + 200, Y0 - 100)
@@ -112,15 +112,15 @@ def test_a_spot_on_the_globe_is_where_its_place_says(write_raster, make_scene):
     np.testing.assert_allclose(beam.earth_from_lamp[:, 2], (target - position) / np.linalg.norm(target - position), atol=1e-12)
     assert beam.reference_m == pytest.approx(np.linalg.norm(target - position)) and beam.cutoff_deg == 25.0
     np.testing.assert_allclose(bulb.earth_from_lamp[:, 2], -up, atol=1e-12)
-    assert bulb.cutoff_deg == 180.0 and bulb.reference_m == 1.0  # no less than a metre
+    assert bulb.cutoff_deg == 180.0 and bulb.reference_m == 1.0  # at least a metre
     assert scene.light_names == (SUN, "beam", "bulb")
 
 
-# -- how the light falls
+# -- falloff
 
 
-def test_an_omni_light_falls_off_with_the_square_of_the_distance(floor, make_scene):
-    """On a floor: h / r^3, and at the foot the irradiance that the level names."""
+def test_omni_light_falls_off_with_the_squared_distance(floor, make_scene):
+    """On a floor the irradiance is h / r^3, and at the foot of the lamp it equals the stated intensity."""
     scene = make_scene(floor, sun="none", lights=omni(10.0, intensity=0.7, color=[1.0, 0.5, 0.25]))
     view, x, y = square(scene)
     found = light_of(scene, view, ("lamp",)) - light_of(scene, view, ())
@@ -129,8 +129,8 @@ def test_an_omni_light_falls_off_with_the_square_of_the_distance(floor, make_sce
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_a_spot_fades_out_at_its_rim_and_is_dark_beyond(floor, make_scene):
-    """Full inside of nine tenths of the half angle, nothing beyond it."""
+def test_spot_fades_out_at_its_rim(floor, make_scene):
+    """The light is full within nine tenths of the half angle and zero outside of the cone."""
     scene = make_scene(floor, sun="none", lights=spot(20.0, 40.0, intensity=0.5))
     view, x, y = square(scene)
     found = (light_of(scene, view, ("lamp",)) - light_of(scene, view, ()))[..., 0]
@@ -146,8 +146,8 @@ def test_a_spot_fades_out_at_its_rim_and_is_dark_beyond(floor, make_scene):
     assert (np.diff(share[order]) < 1e-3).all()
 
 
-def test_what_is_lit_by_a_spot_is_its_cone(floor, make_scene):
-    """Attached shadow ends at a circle of radius h tan(cutoff), exactly; a floor seen from below has none of its light."""
+def test_lit_area_of_a_spot_is_its_cone(floor, make_scene):
+    """Attached shadow starts exactly at a circle of radius h tan(cutoff)."""
     scene = make_scene(floor, sun="none", lights=spot(15.0, 50.0))
     view, x, y = square(scene, px=200)
     dark = attached(geometry_buffer(scene, view), scene, "lamp")
@@ -157,12 +157,12 @@ def test_what_is_lit_by_a_spot_is_its_cone(floor, make_scene):
 # -- many lights
 
 
-def test_visibilities_are_each_light_s_own(gl, floor, make_scene, post):
-    """The sun's is as if there were no lamp, the lamp's as if there were no sun; the colours add up."""
+def test_visibilities_of_lights_are_independent(gl, floor, make_scene, post):
+    """The sun's visibility is that without the lamp, and the lamp's that without the sun. The colours add up."""
     both = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
     alone = make_scene(floor, 250.0, 25.0, meshes=post)
     night = make_scene(floor, sun="none", lights=omni(8.0), meshes=post)
-    view = both.view(bounds=(10, -20, 50, 20), size=(150, 150))  # pixels beside the nodes: no whole blocks
+    view = both.view(bounds=(10, -20, 50, 20), size=(150, 150))  # pixels are off the nodes: no whole blocks
     frames = [render(scene, view, map_size=1024, filter=1) for scene in (both, alone, night)]
     assert list(frames[0].visibilities) == [SUN, "lamp"] and list(frames[1].visibilities) == [SUN]
     assert list(frames[2].visibilities) == ["lamp"]
@@ -175,7 +175,7 @@ def test_visibilities_are_each_light_s_own(gl, floor, make_scene, post):
     assert frames[0].color[lamp_too].mean() > frames[0].color[sun_only].mean()
 
 
-def test_a_frame_under_another_light(gl, floor, make_scene, post):
+def test_frame_under_another_light(gl, floor, make_scene, post):
     scene = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
     assert frame.under(None) is frame
@@ -189,7 +189,7 @@ def test_a_frame_under_another_light(gl, floor, make_scene, post):
     assert "\n" not in str(caught.value)
 
 
-def test_without_any_light_all_is_dark_but_drawn(gl, floor, make_scene, post):
+def test_scene_without_light_is_dark_but_drawn(gl, floor, make_scene, post):
     scene = make_scene(floor, sun="none", meshes=post)
     assert scene.light_names == () and scene.light is None and not scene.sun_is_up
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
@@ -199,8 +199,8 @@ def test_without_any_light_all_is_dark_but_drawn(gl, floor, make_scene, post):
     assert 0 < frame.color.mean() < 60
 
 
-def test_lamps_light_the_night(gl, floor, make_scene, post):
-    """The sun below the horizon gives nothing and runs nothing; the lamp and its shadows are there."""
+def test_lamps_shine_at_night(gl, floor, make_scene, post):
+    """A sun below the horizon gives no light and needs no passes. The lamp and its shadows are drawn."""
     scene = make_scene(floor, 250.0, -30.0, lights=omni(8.0), meshes=post)
     view = scene.view(bounds=(-20, -20, 50, 20), size=(133, 76))
     frame = render(scene, view)
@@ -213,7 +213,7 @@ def test_lamps_light_the_night(gl, floor, make_scene, post):
     assert frame.color[:, np.abs(x) < 5].mean() > dark.color[:, np.abs(x) < 5].mean() + 40
 
 
-def test_a_light_may_have_an_algorithm_of_its_own(gl, floor, make_scene, post):
+def test_each_light_may_have_its_own_algorithm(gl, floor, make_scene, post):
     scene = make_scene(floor, 250.0, 25.0, lights=omni(8.0), meshes=post)
     view = scene.view(bounds=(10, -20, 50, 20), size=(60, 60))
     plan = plan_of(scene, view, algorithm=parse_algorithm("sun=none,lamp=truth"))
@@ -224,7 +224,7 @@ def test_a_light_may_have_an_algorithm_of_its_own(gl, floor, make_scene, post):
 
 
 @pytest.mark.parametrize("algorithm", ["moon=shadow_map", "lamp=shadow_map,moon=none", "moon=truth,relief=none"])
-def test_an_unknown_light_in_an_override_is_refused_in_one_line(floor, make_scene, post, algorithm):
+def test_unknown_light_in_an_override_is_rejected_in_one_line(floor, make_scene, post, algorithm):
     scene = make_scene(floor, lights=omni(8.0), meshes=post)
     view = scene.view(size=(16, 16))
     with pytest.raises(InputError, match="algorithm.*sun, lamp.*relief, meshes, forest") as caught:
@@ -239,7 +239,7 @@ def test_an_unknown_light_in_an_override_is_refused_in_one_line(floor, make_scen
         ({"kind": "spot", "position": [0, 0, 5], "target": [0, 900, 0]}, "lights.lamp.target"),
     ],
 )
-def test_a_lamp_off_the_data_is_refused_in_one_line(floor, make_scene, light, said):
+def test_lamp_off_the_data_is_rejected_in_one_line(floor, make_scene, light, said):
     scene = make_scene(floor, lights={"lamp": light})
     with pytest.raises(LevelError, match=said) as caught:
         _ = scene.lamps
@@ -251,8 +251,8 @@ def moving(kind: str, *keys: dict, **own) -> dict:
     return {"lamp": {"kind": kind, "motion": {"path": list(keys), **motion}, **own}}
 
 
-def test_a_lamp_that_moves_is_as_strong_all_the_way(floor, make_scene):
-    """The ground near it is as bright as it was at its first key, but for the square of the distance and the slant."""
+def test_moving_lamp_keeps_its_intensity(floor, make_scene):
+    """The ground nearby is as bright as at the first key, except for the squared distance and the angle of incidence."""
     path = {"seconds": 0, "position": [0, 0, 10]}, {"seconds": 8, "position": [50, 0, 40]}
     scene = make_scene(floor, lights=moving("omni", *path))
     still = make_scene(floor, lights=omni(10.0))
@@ -264,8 +264,8 @@ def test_a_lamp_that_moves_is_as_strong_all_the_way(floor, make_scene):
     assert later[at[39.5]].mean() == pytest.approx(light[at[0.0]].mean() * 10**2 / distance_m**2 * 40 / distance_m, rel=0.02)
 
 
-def test_a_searchlight_turns_to_what_it_lights(floor, make_scene):
-    """Its place stays; above the sea, its target too."""
+def test_searchlight_turns_to_its_moving_target(floor, make_scene):
+    """The position is fixed. Targets have heights above the sea, too."""
     aims = {"seconds": 2, "target": [-30, 0, 0]}, {"seconds": 6, "target": [30, 0, 0]}
     scene = make_scene(floor, lights=moving("spot", *aims, position=[0, 0, 30], cutoff=8, above="sea"))
     for seconds, aim in ((0.0, -30), (4.0, 0), (6.0, 30)):
@@ -299,7 +299,7 @@ def test_a_searchlight_turns_to_what_it_lights(floor, make_scene):
         ),
     ],
 )
-def test_a_path_of_a_lamp_that_cannot_be_is_refused_in_one_line(floor, make_scene, light, said):
+def test_invalid_lamp_path_is_rejected_in_one_line(floor, make_scene, light, said):
     scene = make_scene(floor, lights=light)
     with pytest.raises(LevelError) as caught:
         _ = scene.lamps
@@ -322,7 +322,7 @@ def test_a_path_of_a_lamp_that_cannot_be_is_refused_in_one_line(floor, make_scen
         ("a lamp", {"kind": "omni", "position": [0, 0, 5]}, "lights"),
     ],
 )
-def test_what_is_no_lamp_is_refused_in_one_line(floor, make_scene, name, light, said):
+def test_invalid_lamp_is_rejected_in_one_line(floor, make_scene, name, light, said):
     with pytest.raises(LevelError, match=said) as caught:
         make_scene(floor, lights={name: light})
     assert "\n" not in str(caught.value)

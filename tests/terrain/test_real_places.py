@@ -1,5 +1,7 @@
-"""Levels over real rasters and footprints: what stands there is what the data say, and it can be drawn; and a bundled one over
-real heights, whose woods and houses keep out of each other's way."""
+"""Levels over real rasters and footprints: their content agrees with the data, and they can be drawn.
+
+A bundled level over real heights has woods and houses that do not overlap.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +24,15 @@ from skugga.terrain.trees.canopy_sample import TREE_HEIGHT_M
 
 CITY = "urban/goteborg_1m"
 ROOF_M = 0.2
-"""How far level roofs lie from the high parts of the surface in their footprints, even on a hillside."""
+"""Maximum distance of level roofs from the high parts of the surface in their footprints, even on a hillside."""
 
 SCENES: dict[str, Scene] = {}
-"""Scenes made so far: a city's canopy takes seconds to plant."""
+"""Cache of scenes: the canopy of a city takes seconds to plant."""
 
 
 @dataclass(frozen=True)
 class Town:
-    """Rasters of a place relative to the sample data, where an eye stands (degrees, metres above ground) and what it looks at."""
+    """Rasters of a place relative to the sample data, an eye (degrees, metres above ground) and its target."""
 
     ground: str
     canopy: str
@@ -58,7 +60,7 @@ PLACES = {
 
 @pytest.fixture
 def scene_of(shared_data: Path, make_scene):
-    """``scene_of(name)`` is the scene of a place in an afternoon's light."""
+    """Return ``scene_of(name)``, which builds the scene of a place in afternoon light."""
 
     def make(name: str) -> Scene:
         town = PLACES[name]
@@ -78,7 +80,7 @@ def heights_of(path: Path) -> tuple[np.ndarray, rasterio.Affine]:
 
 
 @pytest.mark.parametrize("name", PLACES)
-def test_a_real_place_is_planned_and_drawn(scene_of, name):
+def test_real_place_is_planned_and_drawn(scene_of, name):
     town, scene = PLACES[name], scene_of(name)
     assert scene.objects.kinds == town.casters
     for view in (scene.view("air"), scene.view("map", size=(128, 128))):
@@ -91,7 +93,7 @@ def test_a_real_place_is_planned_and_drawn(scene_of, name):
 
 
 @pytest.mark.parametrize("name", PLACES)
-def test_trees_are_the_canopys(scene_of, shared_data, name):
+def test_trees_agree_with_the_canopy(scene_of, shared_data, name):
     town, scene = PLACES[name], scene_of(name)
     trees = scene.objects.trees
     canopy_m, transform = heights_of(shared_data / town.canopy)
@@ -105,13 +107,13 @@ def test_trees_are_the_canopys(scene_of, shared_data, name):
     col, row = (np.floor(v).astype(int) for v in ((x - transform.c) / transform.a, (y - transform.f) / transform.e))
     inside = (row >= 0) & (row < canopy_m.shape[0]) & (col >= 0) & (col < canopy_m.shape[1])
     assert inside.mean() > 0.999
-    # The cell below a tree, or one beside it where cells are coarse and trees are scattered over them.
+    # Look at the cell below a tree and at its neighbours, because trees are scattered over coarse cells.
     nearest = np.max([np.roll(canopy_m, shift, (0, 1)) for shift in np.ndindex(3, 3)], axis=0)
     nearest = np.roll(nearest, (-1, -1), (0, 1))
     assert (nearest[row[inside], col[inside]] >= TREE_HEIGHT_M).mean() > 0.99
 
 
-def test_buildings_are_the_footprints_inside_the_raster_as_high_as_the_surface(scene_of, shared_data):
+def test_buildings_agree_with_footprints_and_surface(scene_of, shared_data):
     town, scene = PLACES["goteborg"], scene_of("goteborg")
     solids = scene.objects.solids
     assert all(solids.closed)
@@ -138,7 +140,7 @@ def test_buildings_are_the_footprints_inside_the_raster_as_high_as_the_surface(s
     assert np.max(np.abs(off)) < ROOF_M
 
 
-def test_the_wooded_valley_has_a_village_and_no_tree_in_a_house():
+def test_wooded_valley_has_a_village_and_no_tree_in_a_house():
     scene = build_scene(load_level(LEVELS_FOLDER / "jacksboro_wooded.yaml"))
     houses = pyogrio.raw.read(LEVELS_FOLDER / "jacksboro_houses.geojson")
     footprints, heights_m = shapely.from_wkb(houses[2]), houses[3][0]

@@ -1,4 +1,4 @@
-"""The sky's colours by the sun's altitude and azimuth, and the noise that keeps them from showing as bands."""
+"""Sky colours by altitude and azimuth of the sun, and the dither noise that prevents banding."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def scene_of(altitude_deg: float | None, cloud_cover: float = 0.0):
-    """As much of a scene as the sky goes by, in a flat world with the sun in the east."""
+    """Return the parts of a scene that the sky needs, in a flat world with the sun in the east."""
     sun = None
     if altitude_deg is not None:
         altitude = np.radians(altitude_deg)
@@ -43,58 +43,58 @@ def color_at(scene, altitude_deg: float, azimuth_deg: float) -> np.ndarray:
 
 
 def camera(rows: int = 120, cols: int = 160) -> PerspectiveView:
-    """A view of nothing but sky, towards the north."""
+    """Return a view to the north that shows only sky."""
     return look_at(np.zeros(3), np.array([0.0, 1.0, 0.6]), UP, 30.0, rows, cols)
 
 
 def picture(scene, view: PerspectiveView) -> np.ndarray:
-    """What a view (rows, cols, 3) shows of a sky."""
+    """Return the sky in a view (rows, cols, 3)."""
     row, col = (axis.ravel() for axis in np.mgrid[0 : view.rows, 0 : view.cols])
     return sky(scene, view, row, col).reshape(view.rows, view.cols, 3)
 
 
-def test_far_from_a_high_sun_the_sky_is_the_days():
+def test_sky_far_from_a_high_sun_has_day_colours():
     assert color_at(scene_of(60.0), 0.0, 180.0) == pytest.approx(SKY_HORIZON, abs=0.01)
     assert color_at(scene_of(30.0), 90.0, 0.0) == pytest.approx(SKY_ZENITH, abs=0.04)
 
 
 @pytest.mark.parametrize("altitude_deg", [0.0, 2.0, 5.0])
-def test_below_a_low_sun_the_horizon_is_warm_and_opposite_it_is_not(altitude_deg):
+def test_horizon_is_warm_only_below_a_low_sun(altitude_deg):
     below, opposite = (color_at(scene_of(altitude_deg), 0.0, azimuth) for azimuth in (0.0, 180.0))
     assert below[0] > 1.2 * below[1] > 1.4 * below[2]
     assert opposite[2] > 0.75 * opposite[0] and below[0] / below[2] > 2.0 * opposite[0] / opposite[2]
 
 
-def test_the_lower_the_sun_the_redder_the_horizon_below_it():
+def test_horizon_is_redder_below_a_lower_sun():
     redness = [np.divide(*color_at(scene_of(altitude), 0.0, 0.0)[[0, 2]]) for altitude in (40.0, 15.0, 10.0, 6.0, 3.0, 1.5)]
     assert (np.diff(redness) > 0).all()
 
 
-def test_above_a_low_sun_red_goes_before_green_and_green_before_blue():
+def test_sky_above_a_low_sun_is_bluer():
     low, high = (color_at(scene_of(3.0), altitude, 60.0) for altitude in (0.0, 20.0))
     kept = high / low
     assert kept[0] < kept[1] < kept[2]
 
 
-def test_nothing_is_brighter_than_white_and_night_is_dark():
+def test_sky_is_at_most_white_and_dark_at_night():
     for altitude in (-30.0, -6.0, -1.0, 0.0, 4.0, 12.0, 45.0, 90.0):
         colors = [color_at(scene_of(altitude), up, azimuth) for up in (0.0, 2.0, 10.0, 45.0, 90.0) for azimuth in range(0, 181, 15)]
         assert np.min(colors) >= 0.0 and np.max(colors) <= 1.0
     assert horizon_colors(scene_of(-30.0)).max() < 0.02 and horizon_colors(scene_of(None)).max() < 0.02
 
 
-def test_a_covered_sky_has_no_sun_in_it():
+def test_overcast_sky_has_no_sun():
     colors = np.array([color_at(scene_of(4.0, 1.0), 4.0, azimuth) for azimuth in range(0, 181, 15)])
     assert np.ptp(colors, axis=0).max() < 1e-9
 
 
-def test_the_sky_is_brightest_round_the_sun():
+def test_sky_is_brightest_around_the_sun():
     away = np.array([0.0, 1.0, 3.0, 8.0, 20.0, 45.0])
     bright = [color_at(scene_of(20.0), 20.0 + off, 0.0).sum() for off in away]
     assert (np.diff(bright) < 0).all()
 
 
-def test_noise_is_even_and_within_half_a_step():
+def test_gradient_noise_is_uniform_within_half_a_step():
     noise = np.array([[gradient_noise(x - 79.5, y - 59.5) for x in range(160)] for y in range(120)])
     assert -0.5 <= noise.min() and noise.max() < 0.5
     count, _ = np.histogram(noise, bins=8, range=(-0.5, 0.5))
@@ -102,9 +102,11 @@ def test_noise_is_even_and_within_half_a_step():
 
 
 @pytest.mark.parametrize("altitude_deg", [50.0, 4.0, -6.0])
-def test_there_are_no_bands(altitude_deg):
-    """Means over 8 x 8 pixels follow the sky's colour by a small part of an 8-bit step, which plain codes cannot: they are up to
-    half a step off in all of a band. Single pixels are no farther off than a step, and by night a bin of the encoder's.
+def test_dithered_sky_has_no_bands(altitude_deg):
+    """Means over 8 x 8 pixels differ from the sky colour by a small fraction of an 8-bit step.
+
+    Rounded codes differ by up to half a step across a whole band. Single pixels differ by at most a step, and at night by a bin of
+    the encoder.
     """
     scene, rows, cols = scene_of(altitude_deg), 120, 160
     view = camera(rows, cols)
@@ -127,20 +129,20 @@ def test_there_are_no_bands(altitude_deg):
     assert off(shown) < 0.2 and off(np.rint(codes)) > 0.3
 
 
-def test_a_part_of_a_sky_is_the_same_sky_and_so_is_the_next_picture():
+def test_sky_is_equal_in_parts_and_repeated_pictures():
     scene = scene_of(8.0)
     whole = picture(scene, camera())
     np.testing.assert_array_equal(whole, picture(scene, camera()))
     np.testing.assert_array_equal(whole[31:71, 17:100], picture(scene, camera().part(31, 17, 40, 83)))
 
 
-def test_sunward_is_level_and_of_unit_length():
+def test_horizontal_sun_direction_has_unit_length():
     assert horizontal_sun_direction(np.array([0.6, 0.0, 0.8]), UP) == pytest.approx([1.0, 0.0, 0.0])
     assert horizontal_sun_direction(UP, UP) == pytest.approx([0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("altitude_deg", [-4.0, 0.5, 12.0, 50.0])
-def test_rows_of_the_sky_have_the_colours_of_its_directions(altitude_deg):
+def test_sky_colors_of_rows_equal_those_of_single_directions(altitude_deg):
     its_sky, rng = sky_of(scene_of(altitude_deg)), np.random.default_rng(3)
     sine, along = np.concatenate([rng.uniform(-0.2, 1.0, 300), [0.0, 1.0, -1.0]]), rng.uniform(-1.0, 1.0, 303)
     many, one = np.empty((3, 303)), np.empty((303, 3))
@@ -150,7 +152,7 @@ def test_rows_of_the_sky_have_the_colours_of_its_directions(altitude_deg):
     np.testing.assert_allclose(many.T, one, rtol=1e-9)
 
 
-def test_what_passes_through_air_falls_off_exponentially():
+def test_transmittances_fall_off_exponentially():
     length = np.concatenate([np.linspace(0.0, 60.0, 500), [1e-12, 1e4, -5.0]])
     out = np.empty(len(length))
     for per_length in (1e-9, 0.02, 1.0):

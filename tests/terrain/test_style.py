@@ -1,4 +1,4 @@
-"""Styles: what they make of ground and light, by closed forms; and that none moves a shadow."""
+"""Styles: colours and light in closed form, and unchanged shadows."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ X0, Y0 = 450_000.0, 6_000_000.0
 
 
 def lightness(linear: np.ndarray) -> np.ndarray:
-    """CIE L* of linear sRGB (n, 3), white 100."""
+    """Return CIE L* of linear sRGB (n, 3); white is 100."""
     y = linear @ np.array([0.2126, 0.7152, 0.0722])
     return np.where(y > (6 / 29) ** 3, 116.0 * np.cbrt(y) - 16.0, y * (29 / 3) ** 3)
 
 
 def plane(write_raster, make_scene, east_rise: float, azimuth: float, altitude: float, base_m: float = 300.0, **keys) -> Scene:
-    """Ground that rises by ``east_rise`` per metre to the east, 60 x 60 cells of 10 m."""
+    """Return ground that rises by ``east_rise`` per metre to the east, 60 x 60 cells of 10 m."""
     heights = np.broadcast_to(base_m + east_rise * 10.0 * (np.arange(60) - 30), (60, 60)).astype(np.float32)
     return make_scene(write_raster(heights, UTM, X0, Y0, 10.0), azimuth, altitude, **keys)
 
 
 def middle(scene: Scene, sunlight: float) -> np.ndarray:
-    """Linear colour (3,) in the middle of a map, of which the sun lights a share."""
+    """Return the linear colour (3,) at the centre of a map with a share of sunlight."""
     buffer = geometry_buffer(scene, scene.view(size=(60, 60)))
     return shade(buffer, scene, np.full(buffer.valid.shape, sunlight, np.float32))[30, 30].astype(float)
 
@@ -48,12 +48,12 @@ def color_of(scene: Scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", STYLES)
-def test_higher_ground_is_no_darker(name):
+def test_higher_ground_is_not_darker(name):
     assert (np.diff(lightness(tint_table(STYLES[name].ramp, STYLES[name].has_climate)), axis=1) > -1e-9).all()
 
 
 @pytest.mark.parametrize("name", STYLES)
-def test_a_ramp_has_its_colours_at_its_heights(name):
+def test_ramp_has_its_colours_at_its_heights(name):
     (table,), ramp = tint_table(STYLES[name].ramp), STYLES[name].ramp
     for height, color in ramp:
         expected = linear_of_srgb(np.array([int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]))
@@ -62,8 +62,8 @@ def test_a_ramp_has_its_colours_at_its_heights(name):
         np.testing.assert_allclose(table[low] + share * (table[low + 1] - table[low]), expected, atol=4e-3)
 
 
-def test_a_height_has_one_colour_in_every_level(write_raster, make_scene):
-    """Not stretched over the level: 300 m looks the same below peaks of 4,000 m."""
+def test_height_has_one_colour_in_every_level(write_raster, make_scene):
+    """Colours are not stretched to the height range of the level: 300 m looks the same below peaks of 4,000 m."""
     colors = []
     for peak in (320.0, 4000.0):
         heights = np.full((60, 60), 300.0, np.float32)
@@ -73,7 +73,7 @@ def test_a_height_has_one_colour_in_every_level(write_raster, make_scene):
     assert np.array_equal(*colors) and colors[0].any()
 
 
-def test_grey_is_grey(write_raster, make_scene):
+def test_grey_style_is_grey(write_raster, make_scene):
     color = color_of(plane(write_raster, make_scene, 0.2, 250.0, 20.0, style="grey")).astype(int)
     assert np.ptp(color, axis=-1).max() <= 1
 
@@ -81,14 +81,14 @@ def test_grey_is_grey(write_raster, make_scene):
 @pytest.mark.parametrize("name", ["natural", "swiss", "urban", "analysis"])
 @pytest.mark.parametrize("base_m", [50.0, 800.0, 3000.0])
 def test_shadows_are_bluish(write_raster, make_scene, name, base_m):
-    """Whatever the ground's own colour: blue is the strongest channel of level ground in shadow, and it is darker than lit."""
+    """For any colour of the ground, blue is the strongest channel of level ground in shadow, which is darker than lit ground."""
     scene = plane(write_raster, make_scene, 1e-4, 200.0, 30.0, base_m, style=name)
     dark, lit = middle(scene, 0.0), middle(scene, 1.0)
     assert dark[2] > dark[1] and dark[2] > dark[0]
     assert lightness(dark[None])[0] < 0.8 * lightness(lit[None])[0]
 
 
-def test_an_own_ramp_goes_before_the_styles(write_raster, make_scene):
+def test_custom_ramp_replaces_that_of_the_style(write_raster, make_scene):
     scene = plane(
         write_raster, make_scene, 1e-4, 180.0, 60.0, style={"name": "analysis", "ramp": [[0, "#ff0000"], [600, "#0000ff"]]}
     )
@@ -101,7 +101,10 @@ def test_an_own_ramp_goes_before_the_styles(write_raster, make_scene):
 
 
 def test_level_ground_keeps_its_brightness(write_raster, make_scene):
-    """Level, lit, white ground shows LEVEL_GROUND of white under each sun down to the floor; the sky alone gives its part."""
+    """Level, lit, white ground shows ``LEVEL_GROUND`` of white for any sun above ``EXPOSURE_FLOOR_DEG``.
+
+    The sky alone gives its share.
+    """
     for altitude in (20.0, 45.0, 85.0):
         scene = plane(
             write_raster,
@@ -119,19 +122,19 @@ def test_level_ground_keeps_its_brightness(write_raster, make_scene):
         )
 
 
-def test_the_shoulder_is_smooth_and_never_white():
+def test_shoulder_is_smooth_and_never_white():
     x = np.linspace(0.0, 20.0, 20001)
     y = np.array([shoulder(each) for each in x])
     assert np.array_equal(y[x <= SHOULDER], x[x <= SHOULDER]) and (np.diff(y) > 0).all() and y.max() < 1.0
     assert np.abs(np.diff(np.diff(y))).max() < 1e-5, "no edge where it begins"
 
 
-def test_slopes_in_shadow_that_face_the_sun_get_more_of_the_sky(write_raster, make_scene):
-    """By the closed form: 1 + k (a + cos s - 1), with a = sin s towards the sun, of the sky's own share."""
+def test_shadowed_slopes_towards_the_sun_get_more_sky(write_raster, make_scene):
+    """The closed form is 1 + k (a + cos s - 1) of the sky's share, with a = sin s towards the sun."""
     slope = np.arctan(0.5)
     towards, away = (
         middle(plane(write_raster, make_scene, rise, 270.0, 20.0, effects={"sky_view": "off"}, style="grey"), 0.0)[0]
-        for rise in (0.5, -0.5)  # the one that rises eastwards faces west
+        for rise in (0.5, -0.5)  # the plane that rises eastwards faces west
     )
     k = STYLES["grey"].sky_towards_sun
     factors = [max(1.0 + k * (side * np.sin(slope) + np.cos(slope) - 1.0), MIN_SKY) for side in (1.0, -1.0)]
@@ -139,14 +142,14 @@ def test_slopes_in_shadow_that_face_the_sun_get_more_of_the_sky(write_raster, ma
     assert towards > 1.5 * away
 
 
-def test_the_skys_factor_is_one_on_level_ground_and_never_none():
+def test_sky_factor_is_one_on_level_ground_and_bounded():
     for sine in (-0.1, 0.0, 0.3, 0.9, 1.0):
         assert _sky_on_slope(sine, 1.0, sine, 0.8) == pytest.approx(1.0)
         assert _sky_on_slope(-1.0, 0.0, sine, 1.0) >= MIN_SKY
 
 
 def test_slopes_are_exaggerated_as_tangents():
-    """A plane that rises t per metre towards the sun, a times as steep: its normal is (-a t, 1) of unit length."""
+    """A plane that rises t per metre towards the sun, exaggerated by a, has the normal (-a t, 1), normalized."""
     altitude = np.radians(25.0)
     sun = np.array([np.cos(altitude), np.sin(altitude)])
     for t in (-1.5, -0.2, 0.0, 0.3, 2.0):
@@ -158,7 +161,7 @@ def test_slopes_are_exaggerated_as_tangents():
         assert limited >= np.cos(np.arctan(0.7)) - 1e-12, "no slope is drawn steeper than the limit"
 
 
-def test_attached_shadow_begins_softly_and_level_ground_stays_as_it_is():
+def test_attached_shadow_starts_softly_on_slopes():
     for sine in (0.05, 0.5, 1.0):
         facing = np.linspace(-0.2, 1.0, 1201)
         given = np.array([_direct_on_slope(each, sine, 0.5) for each in facing])
@@ -169,8 +172,8 @@ def test_attached_shadow_begins_softly_and_level_ground_stays_as_it_is():
         )
 
 
-def test_air_takes_contrast_from_low_ground_in_maps_alone(write_raster, make_scene):
-    """The same slope at the sea and at 4,000 m: lit and dark are nearer below. In perspective there is no such veil."""
+def test_aerial_perspective_lowers_contrast_of_low_ground(write_raster, make_scene):
+    """At sea level, lit and shadowed parts of a slope differ less than at 4,000 m."""
     contrast = {}
     for base_m in (10.0, 4000.0):
         scene = plane(write_raster, make_scene, 0.05, 250.0, 20.0, base_m, style={"name": "swiss", "ramp": [[0, "#cccccc"]]})
@@ -180,19 +183,19 @@ def test_air_takes_contrast_from_low_ground_in_maps_alone(write_raster, make_sce
     )
 
 
-def test_slopes_grow_with_the_size_of_pixels_and_no_more_than_thrice():
+def test_slope_exaggeration_grows_with_pixel_size_to_three():
     style = STYLES["natural"]
     assert [style.slope_exaggeration_at(each) for each in (1.0, 60.0)] == [1.0, 1.0]
     assert style.slope_exaggeration_at(960.0) == pytest.approx(2.0) and style.slope_exaggeration_at(1e6) == 3.0
     assert STYLES["analysis"].slope_exaggeration_at(1e6) == 1.0
 
 
-# -- what a style does not change
+# -- unchanged shadows
 
 
 @pytest.mark.parametrize("exaggeration", [None, 6.0])
 @pytest.mark.parametrize("name", STYLES)
-def test_no_style_moves_a_shadow(gl, write_raster, make_scene, name, exaggeration):
+def test_styles_do_not_move_shadows(gl, write_raster, make_scene, name, exaggeration):
     rng = np.random.default_rng(3)
     heights = (500.0 + 60.0 * rng.normal(size=(60, 60)).cumsum(axis=0)).astype(np.float32)
     scene = make_scene(write_raster(heights, UTM, X0, Y0, 30.0), 235.0, 25.0)
@@ -204,17 +207,17 @@ def test_no_style_moves_a_shadow(gl, write_raster, make_scene, name, exaggeratio
         assert not np.array_equal(frames[0].color, frames[1].color)
 
 
-def test_luminance_is_that_of_the_standard():
+def test_luminance_has_standard_weights():
     assert luminance_of(1.0, 1.0, 1.0) == pytest.approx(1.0)
     assert luminance_of(0.0, 1.0, 0.0) > luminance_of(1.0, 0.0, 0.0) > luminance_of(0.0, 0.0, 1.0)
 
 
-# -- which one
+# -- default styles
 
 
 @pytest.mark.parametrize(("trees", "name"), [(0, "urban"), (6, "urban"), (40, "urban"), (110, "natural")])
-def test_fine_ground_is_a_city_unless_it_is_a_wood(write_raster, make_scene, tmp_path, trees, name):
-    """60 x 60 m: crowns of 5 m have 20 m2 each, of 3,600."""
+def test_fine_ground_is_urban_unless_it_is_wooded(write_raster, make_scene, tmp_path, trees, name):
+    """The area is 60 x 60 m, or 3,600 m2, and each crown of 5 m covers 20 m2."""
     heights = np.zeros((60, 60), np.float32)
     heights[20:40, 20:40] = 9.0
     fine = write_raster(heights, UTM, X0, Y0, 1.0)
@@ -231,7 +234,7 @@ def test_fine_ground_is_a_city_unless_it_is_a_wood(write_raster, make_scene, tmp
     assert make_scene(fine, forest=forest, style="natural").style.name == "natural"
 
 
-def test_coarse_ground_is_no_city_unless_it_is_of_blocks(write_raster, make_scene):
+def test_coarse_ground_is_natural_unless_it_has_blocks(write_raster, make_scene):
     coarse = write_raster(np.zeros((60, 60), np.float32), UTM, X0, Y0, 30.0)
     assert make_scene(coarse).style.name == "natural"
     assert make_scene(coarse, terrain={"surface": "blocks"}).style.name == "urban"
@@ -248,13 +251,13 @@ def test_coarse_ground_is_no_city_unless_it_is_of_blocks(write_raster, make_scen
         ({"colour": "swiss"}, "style.colour"),
     ],
 )
-def test_a_style_that_is_none_is_told(write_raster, make_scene, style, message):
+def test_invalid_style_is_rejected(write_raster, make_scene, style, message):
     raster = write_raster(np.zeros((5, 5), np.float32), UTM, X0, Y0, 10.0)
     with pytest.raises(LevelError, match=message):
         make_scene(raster, style=style)
 
 
-def test_a_requests_style_is_told_by_its_parameter(write_raster, make_scene):
+def test_invalid_style_of_a_request_names_the_parameter(write_raster, make_scene):
     scene = plane(write_raster, make_scene, 0.1, 180.0, 30.0)
     with pytest.raises(InputError, match="style: .pretty. is not allowed. Allowed: .*swiss") as refused:
         scene.with_style("pretty")

@@ -5,8 +5,8 @@ import pytest
 from skugga.terrain.user_cache import user_cache
 
 
-def test_a_user_without_a_home_has_a_cache_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch):
-    """As in a container that runs as a user that it does not know."""
+def test_user_cache_without_a_home_is_not_writable(monkeypatch: pytest.MonkeyPatch):
+    """A container may run as a user that it does not know."""
 
     def unknown() -> Path:
         raise RuntimeError("Could not determine home directory.")

@@ -1,4 +1,4 @@
-"""Proposed perspective views: what they show of ground whose best side is known."""
+"""Proposed perspective views: they show the most interesting side of known ground."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ def hills(rows: int = 160, cols: int = 160) -> np.ndarray:
 
 
 def seen(scene: Scene) -> np.ndarray:
-    """Map coordinates (n, 2) of the corners and middles of the sides of the proposed picture, where their rays meet the ground as
-    a plane at its mean height; NaN where they do not go down.
+    """Return map coordinates (n, 2) of the corners, edge centres and centre of the proposed picture.
+
+    Rays meet the ground as a plane at its mean height. Upward rays have NaN.
     """
     spec = good_view(scene.world, scene.elevation, scene.sun)
     assert spec is not None
@@ -51,18 +52,18 @@ def seen(scene: Scene) -> np.ndarray:
     return np.column_stack([x, y])
 
 
-def test_the_picture_is_filled_with_ground(tmp_path):
+def test_picture_is_filled_with_ground(tmp_path):
     scene = scene_of(tmp_path, hills())
     places = seen(scene)
     west, south, east, north = scene.elevation.bounds
-    margin = 12 * CELL_M  # relief moves what a ray meets
+    margin = 12 * CELL_M  # relief moves the points that rays meet
     assert np.isfinite(places).all()
     assert (places[:, 0] > west - margin).all() and (places[:, 0] < east + margin).all()
     assert (places[:, 1] > south - margin).all() and (places[:, 1] < north + margin).all()
 
 
-def test_it_looks_at_the_relief_and_not_at_the_plain(tmp_path):
-    """Hills in the north-east quarter alone."""
+def test_view_looks_at_relief_and_not_at_a_plain(tmp_path):
+    """Only the north-east quarter has hills."""
     row, col = np.mgrid[:160, :160]
     ramp = np.clip((col - 80) / 10, 0, 1) * np.clip((80 - row) / 10, 0, 1)
     scene = scene_of(tmp_path, 100 + ramp * (hills() - 300))
@@ -70,7 +71,7 @@ def test_it_looks_at_the_relief_and_not_at_the_plain(tmp_path):
     assert x > 500e3 + 70 * CELL_M and y > 5200e3 - 95 * CELL_M
 
 
-def test_the_sun_stands_to_one_side(tmp_path):
+def test_sun_is_on_one_side_of_the_view(tmp_path):
     scene = scene_of(tmp_path, hills())
     spec = good_view(scene.world, scene.elevation, scene.sun)
     assert spec is not None and scene.sun is not None
@@ -78,7 +79,7 @@ def test_the_sun_stands_to_one_side(tmp_path):
     assert abs(np.sin(np.arctan2(east, north) - np.radians(scene.sun.azimuth_deg))) > 0.5
 
 
-def test_the_eye_is_above_ground_and_off_holes(tmp_path):
+def test_view_avoids_holes(tmp_path):
     heights = hills()
     heights[:, :70] = -9999.0
     scene = scene_of(tmp_path, heights, nodata=-9999.0)
@@ -86,7 +87,7 @@ def test_the_eye_is_above_ground_and_off_holes(tmp_path):
 
 
 @pytest.mark.parametrize("crs", [ENGINEERING, "EPSG:4326", "EPSG:3031"])
-def test_in_every_kind_of_crs(tmp_path, crs):
+def test_good_view_in_every_kind_of_crs(tmp_path, crs):
     scene = scene_of(tmp_path, hills()) if crs != "EPSG:4326" else None
     if crs == "EPSG:4326":
         raster = write_geotiff(tmp_path / "deg.tif", hills().astype(np.float32), crs, 12.0, 47.0, 3e-4)
@@ -99,8 +100,8 @@ def test_in_every_kind_of_crs(tmp_path, crs):
     assert scene is not None and np.isfinite(seen(scene)[4]).all()
 
 
-def test_a_wide_level_is_looked_at_where_it_is_rugged(tmp_path):
-    """1,000 km of plain, with mountains in a corner."""
+def test_view_of_a_wide_level_looks_at_rugged_ground(tmp_path):
+    """The level is a plain of 1,000 km with mountains in a corner."""
     row, col = np.mgrid[:500, :500]
     heights = 50 + np.where((row < 60) & (col > 420), 1500 + 900 * np.sin(col / 3) * np.cos(row / 3), 0)
     scene = scene_of(tmp_path, heights, cell_m=2000.0)
@@ -109,7 +110,7 @@ def test_a_wide_level_is_looked_at_where_it_is_rugged(tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (2, 2)])
-def test_ground_that_fills_no_picture_has_none(tmp_path, shape):
+def test_too_little_ground_has_no_view(tmp_path, shape):
     elevation = Elevation(
         str(write_geotiff(tmp_path / "few.tif", np.full(shape, 5.0, np.float32), "EPSG:32633", 500e3, 5200e3, CELL_M))
     )
@@ -117,8 +118,8 @@ def test_ground_that_fills_no_picture_has_none(tmp_path, shape):
     assert good_view(scene.world, elevation, scene.sun) is None
 
 
-def test_coarse_cells_are_looked_at_from_afar(tmp_path):
-    """Kilometre cells fill a dozen pixels of the picture each, not a hundred."""
+def test_coarse_cells_are_viewed_from_far_away(tmp_path):
+    """Cells of a kilometre fill a dozen pixels of the picture, not a hundred."""
     row, col = np.mgrid[:300, :300]
     ridges = 1500 + 1200 * np.sin(col / 3) * np.cos(row / 4) * np.exp(-(((row - 150) / 60) ** 2))
     scene = scene_of(tmp_path, ridges, crs="EPSG:2193", cell_m=1000.0)

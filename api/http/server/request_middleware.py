@@ -27,7 +27,7 @@ KEPT = "skugga.kept"
 """Scope key with the route of an answer from the cache, which was sent before routing."""
 
 
-def page_policy(tiles: str = "'self'") -> str:
+def content_security_policy(tiles: str = "'self'") -> str:
     """Return the Content-Security-Policy (level 3) of a page: own resources only, with images and data from ``tiles``.
 
     Blob workers are allowed, since the map library creates workers from its own code.
@@ -157,7 +157,7 @@ def _add_common_headers(headers: MutableHeaders, scope: Scope, id_: str, took_ms
     if expected is not None:
         headers.update(expected.headers())
     if headers.get("Content-Type", "").startswith("text/html"):
-        headers.setdefault("Content-Security-Policy", page_policy())
+        headers.setdefault("Content-Security-Policy", content_security_policy())
         headers["Referrer-Policy"] = "same-origin"
 
 

@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse, HTMLResponse, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.staticfiles import StaticFiles
 
-from skugga.api.http.server.request_middleware import page_policy
+from skugga.api.http.server.request_middleware import content_security_policy
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET
 from skugga.api.http.state.service import TheService
 
@@ -36,7 +36,7 @@ def install_viewer(app: FastAPI, folder: Path) -> None:
         page = folder / "index.html"
         if await run_in_threadpool(page.is_file):
             # Users may name any server for tiles of a base map; scripts come from this service only.
-            policy = page_policy(tiles="'self' https: http:")
+            policy = content_security_policy(tiles="'self' https: http:")
             return FileResponse(page, headers={"Cache-Control": "no-cache", "Content-Security-Policy": policy})
         levels = await service.all_levels()
         items = "".join(

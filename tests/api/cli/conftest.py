@@ -1,4 +1,4 @@
-"""The command line, called in this process."""
+"""Fixture that runs the command line in this process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from skugga.api.cli import main as cli
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """``run("render", ...)`` gives exit status, standard output and standard error."""
+    """Return ``run("render", ...)``, which returns the exit status, standard output and standard error."""
 
     def call(*arguments: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["skugga", *arguments])

@@ -1,4 +1,4 @@
-"""``skugga select --all-scales``: a level's tiles are probed by a command, and services make their plans by it."""
+"""``skugga select --all-scales``: the command probes tiles of all scales, and services plan by the saved probes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from skugga.api.map_probing import map_block, probe_blocks, probed_scales
 from skugga.api.workers.jobs import Tiles
 from skugga.api.workers.map_plans import plan_in_service, unprobed_class
 from skugga.api.workers.plan_basis import PlanBasis
-from skugga.api.workers.worker_state import tiles_view
+from skugga.api.workers.worker_state import representative_block
 from skugga.selector.cost.device_profile import DeviceProfile
 from skugga.selector.cost.typical_device import typical_device
 from skugga.selector.map_probes import MapClass, map_class
@@ -27,7 +27,7 @@ from skugga.terrain.scene import build_scene
 
 @pytest.fixture
 def probed(gl, run, hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict]:
-    """What the command says of a level whose probes it has kept."""
+    """Return the rows that the command prints for a level whose probes it has saved."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(map_probing, "probed_scales", lambda scene: range(3, 5))
     status, out, err = run("select", str(hills_level), "--all-scales", "--budget", "1s", "--write", "--json")
@@ -39,7 +39,7 @@ def own_probes() -> list[Path]:
     return list(probes_folder(device().renderer, device().version).glob("*.json"))
 
 
-def test_a_services_plans_go_by_it(probed: list[dict], hills_level: Path):
+def test_a_service_plans_by_the_saved_probes(probed: list[dict], hills_level: Path):
     served = ServedLevels([hills_level]).known()[0]
     (path,) = own_probes()
     assert path.stem == served.version, "the command and the service know the level by the same version"
@@ -68,17 +68,17 @@ def test_a_services_plans_go_by_it(probed: list[dict], hills_level: Path):
     assert unprobed_class(higher, view, {}, served.key, basis) == MapClass(wanted.scale, wanted.sun + 2)
 
 
-def test_tiles_of_all_zooms_are_of_these_scales(hills_level: Path):
+def test_tiles_of_all_zooms_have_a_probed_scale(hills_level: Path):
     served = ServedLevels([hills_level]).known()[0]
     scene = build_scene(load_level(hills_level))
     for name, zooms in served.zooms.items():
         for zoom in range(zooms.first, zooms.last + 1):
-            tile = tiles_view(scene, Tiles(matrix_set=name, zoom=zoom))
+            tile = representative_block(scene, Tiles(matrix_set=name, zoom=zoom))
             found = map_class(map_pixel_m(scene.world, tile), 45.0)
             assert found is not None and found.scale in probed_scales(scene), (name, zoom)
 
 
-def test_one_block_where_it_shows_much_of_a_level_else_several(gl, hills_level: Path):
+def test_coarse_scales_probe_one_block_and_fine_ones_three(gl, hills_level: Path):
     scene = build_scene(load_level(hills_level))
     scales = probed_scales(scene)
     coarse_m, fine_m = 2.0 ** scales[-1], 2.0 ** scales[0]
@@ -91,8 +91,8 @@ def test_one_block_where_it_shows_much_of_a_level_else_several(gl, hills_level: 
     assert several.plan.view == "map"
 
 
-def test_what_was_seen_changes_a_choice(probed: list[dict], hills_level: Path):
-    """The same level on a device on which the choice that would be taken was seen to be very slow."""
+def test_a_probe_that_saw_a_slow_choice_changes_it(probed: list[dict], hills_level: Path):
+    """Plan the same level on a device whose probe measured the preferred choice as very slow."""
     served = ServedLevels([hills_level]).known()[0]
     scene, profile = build_scene(load_level(hills_level)), typical_device()
     view = map_block(scene, probed[0]["pixel_m"])
@@ -122,6 +122,6 @@ def _basis(profile: DeviceProfile, version: str, probes) -> PlanBasis:
         (["--budget", "soon"], "--budget"),
     ],
 )  # fmt: skip
-def test_what_does_not_go_with_it(gl, run, hills_level: Path, options: list[str], named: str):
+def test_conflicting_options_are_refused(gl, run, hills_level: Path, options: list[str], named: str):
     status, out, err = run("select", str(hills_level), "--all-scales", *options)
     assert status != 0 and out == "" and err.startswith(f"skugga: {named}: ") and len(err.strip().splitlines()) == 1

@@ -1,4 +1,4 @@
-"""``skugga compile``: what it says of loops that were missing, and of none."""
+"""``skugga compile``: its message with and without missing loops."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from skugga.terrain.errors import RenderError
 
 
 @pytest.mark.parametrize(("missing", "said"), [(7, "Compiled 7 loops in "), (0, "Nothing to compile: all loops are in ")])
-def test_compile_tells_how_many_loops_were_missing(monkeypatch: pytest.MonkeyPatch, missing: int, said: str) -> None:
+def test_compile_reports_the_number_of_missing_loops(monkeypatch: pytest.MonkeyPatch, missing: int, said: str) -> None:
     asked = []
 
     def compile_ahead(products, processes, progress) -> None:
@@ -31,7 +31,7 @@ def test_compile_tells_how_many_loops_were_missing(monkeypatch: pytest.MonkeyPat
 
 
 def test_compile_fails_where_nothing_can_be_stored(tmp_path, monkeypatch, full_disk) -> None:
-    """On a full disk, and where a process that compiles was killed."""
+    """Compile on a full disk, and with a compiling process that was killed."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "loops"))
     monkeypatch.setattr(loop_cache, "_store", [])
     monkeypatch.setattr(compiling, "compile_ahead", lambda products, processes, progress: progress("compiling loops", 7, 7))

@@ -1,4 +1,4 @@
-"""Completion of a command line, by its functions and in a shell; and the list of commands, which is light."""
+"""Completion of the command line, by its functions and in a shell, and the lightweight list of commands."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_levels_in_a_folder_are_completed(tmp_path, monkeypatch):
 
 @pytest.fixture
 def skugga(tmp_path, monkeypatch) -> Path:
-    """A command ``skugga`` on the path; its folder."""
+    """Put a command ``skugga`` on the path and return its folder."""
     command = tmp_path / "bin" / "skugga"
     command.parent.mkdir()
     program = "from skugga.api.cli.main import main; main()"
@@ -105,7 +105,7 @@ def test_bash_completes_once_it_is_installed(skugga):
 
 
 def test_zsh_is_offered_words_with_their_help(skugga):
-    """What zsh evaluates, which need not be there."""
+    """Test the text that zsh evaluates. zsh itself need not be installed."""
     done = subprocess.run(["skugga", "--show-completion", "zsh"], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stdout.startswith("#compdef skugga")
     asked = {**os.environ, "_SKUGGA_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": "skugga val"}
@@ -114,7 +114,7 @@ def test_zsh_is_offered_words_with_their_help(skugga):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_in_the_list_is_that_of_the_command(name):
+def test_listed_help_equals_the_command_s_docstring(name):
     function, summary = COMMANDS[name]
     module, _, attribute = function.partition(":")
     command = getattr(importlib.import_module(f"skugga.api.cli.commands.{module}"), attribute)

@@ -1,4 +1,4 @@
-"""`skugga render` of films: what it writes, says and refuses."""
+"""Films of ``skugga render``: written files, messages and errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ DAY = "--from", "2024-10-21T15:00:00-04:00", "--to", "2024-10-21T17:00:00-04:00"
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch) -> Path:
-    """The current folder, with a level and a camera."""
+    """Return the current folder, which holds a level and a camera."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "floor.yaml").write_text(json.dumps(LEVEL))
     (tmp_path / "camera.yaml").write_text(json.dumps({"size": [64, 48], "keys": KEYS}))
@@ -50,8 +50,8 @@ def pngs(folder: Path) -> list[np.ndarray]:
     return [np.asarray(Image.open(path)) for path in sorted(folder.glob("*.png"))]
 
 
-def test_a_camera_that_moves_is_written_and_told(gl, run, folder):
-    """The frames of the three kinds of files, and a still of the same camera and plan."""
+def test_a_moving_camera_is_written_and_reported(gl, run, folder):
+    """Compare the frames of the three kinds of files with a still by the same camera and plan."""
     common = "render", "floor.yaml", "--path", "camera.yaml", "--fps", "5"
     for output in ("film.webp", "film.mp4", "frames/%02d.png"):
         lossless = ["--lossless"] if output == "film.webp" else []
@@ -75,7 +75,7 @@ def test_a_camera_that_moves_is_written_and_told(gl, run, folder):
     assert (np.asarray(Image.open("still.png").convert("RGB")) == drawn[-1]).all()
 
 
-def test_size_and_time_are_told_after_the_first_frames(gl, run, folder):
+def test_size_and_time_are_estimated_after_a_few_frames(gl, run, folder):
     status, _, err = run(
         "render", "floor.yaml", "--view", "eye", "--from", "0s", "--to", "2s", "--step", "0.05s", "-o", "film.webp"
     )
@@ -87,8 +87,10 @@ def test_size_and_time_are_told_after_the_first_frames(gl, run, folder):
     assert said == pytest.approx((folder / "film.webp").stat().st_size, rel=0.5)
 
 
-def test_frames_drawn_ahead_are_those_drawn_one_by_one(gl):
-    """Bare ground is drawn in threads: in order, by the same plans, whatever is waited for; and a film may be left halfway."""
+def test_frames_drawn_by_threads_equal_serial_frames(gl):
+    """Threads draw frames of terrain alone. They return frames in order and by the same plans. Closing the generator early
+    ends the threads.
+    """
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     request = FilmRequest(FilmSpan(9, 5400.0, datetime.fromisoformat("2024-10-21T07:00:00-04:00")), "map", size=(96, 64))
     moments = frame_moments(scene, request)
@@ -102,7 +104,7 @@ def test_frames_drawn_ahead_are_those_drawn_one_by_one(gl):
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("skugga-frames")]
 
 
-def test_a_sun_that_moves_is_a_row_of_stills(gl, run, folder):
+def test_a_film_of_a_moving_sun_equals_stills(gl, run, folder):
     assert run("render", "jacksboro", *DAY, "--size", "64x48", "-o", "day%d.png")[0] == 0
     drawn = pngs(folder)
     assert len(drawn) == 5 and len({each.tobytes() for each in drawn}) == 5
@@ -110,7 +112,7 @@ def test_a_sun_that_moves_is_a_row_of_stills(gl, run, folder):
     assert (np.asarray(Image.open("still.png").convert("RGB")) == drawn[3]).all()
 
 
-def test_a_sun_and_a_camera_that_move_together(gl, run, folder):
+def test_sun_and_camera_can_move_together(gl, run, folder):
     level = Path("jacksboro_wooded")
     keys = [
         {"at": DAY[1], "eye": [-84.1660, 36.22813, 62], "target": [-84.1582, 36.22573, 0], "fov": 40},
@@ -153,13 +155,13 @@ def test_a_sun_and_a_camera_that_move_together(gl, run, folder):
         ),
         (
             ("--path", "low.yaml", "-o", "film.webp"),
-            "path, frame 10 (0.36 s): eye: the camera goes under the ground, -0.319 m above it",
+            "path, frame 10 (0.36 s): eye: the camera is 0.319 m below the ground",
         ),
         (("--path", "off.yaml", "-o", "film.webp"), "keys.1.eye: '(900.0, 0.0, 5.0)' is not allowed"),
         (("--path", "camera.yaml", "--size", "9000x9", "-o", "film.webp"), "size: '9000x9'"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_one_line_before_a_frame_is_drawn(run, folder, monkeypatch, options, told):
+def test_wrong_options_are_one_line_before_a_frame_is_drawn(run, folder, monkeypatch, options, told):
     monkeypatch.setattr("skugga.selector.film.render_frame", lambda *_: pytest.fail("a frame was drawn"))
     for name, eye in (("low.yaml", [0, 0, -13]), ("off.yaml", [900, 0, 5])):
         (folder / name).write_text(json.dumps({"keys": [KEYS[0] | {"eye": [0, 9, 5]}, KEYS[1] | {"eye": eye}]}))
@@ -170,8 +172,10 @@ def test_what_is_wrong_is_one_line_before_a_frame_is_drawn(run, folder, monkeypa
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
-def test_a_sun_that_nobody_chose_is_said(gl, run, folder):
-    """Of a level that names none, also where nobody looks on: of pictures, and of films that do not say when."""
+def test_the_default_light_is_reported(gl, run, folder):
+    """A warning names the default light of a level without a sun, for pictures and for films without times, also when
+    standard error is no terminal.
+    """
     (folder / "bare.yaml").write_text(json.dumps({key: value for key, value in LEVEL.items() if key != "sun"}))
     for more in (("-o", "bare.png"), (*CLOCK, "--view", "eye", "-o", "bare.webp")):
         for level, is_said in (("bare", True), ("floor", False)):
@@ -179,7 +183,7 @@ def test_a_sun_that_nobody_chose_is_said(gl, run, folder):
             assert status == 0 and ("skugga: bare is drawn with its default light, the sun " in err) == is_said, err
 
 
-def test_each_wrong_key_of_a_camera_is_a_line(run, folder):
+def test_each_wrong_key_of_a_camera_is_one_line(run, folder):
     (folder / "camera.yaml").write_text(json.dumps({"keys": [KEYS[0], KEYS[1] | {"at": "soon", "eye": [1, 2]}]}))
     status, _, err = run("render", "floor.yaml", "--path", "camera.yaml", "-o", "film.webp")
     assert status == 2 and [line.split(": ")[2] for line in err.splitlines()] == ["keys.1.at", "keys.1.eye"]
@@ -192,8 +196,8 @@ def test_without_the_encoder_the_extra_is_named(run, folder, monkeypatch):
 
 
 @pytest.mark.parametrize("output", ["film.webp", "film.mp4", "frames/%d.png"])
-def test_a_full_disk_is_told_and_leaves_nothing(gl, run, folder, full_disk, output):
-    run("render", "floor.yaml", *CLOCK, "--view", "eye", "-o", output)  # loops are compiled, and kept, before
+def test_a_full_disk_is_reported_and_leaves_no_file(gl, run, folder, full_disk, output):
+    run("render", "floor.yaml", *CLOCK, "--view", "eye", "-o", output)  # compiles and caches the loops before the disk is full
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     with full_disk(1000):
         status, _, err = run("render", "floor.yaml", *CLOCK, "--view", "eye", "-o", output)
@@ -206,17 +210,17 @@ def test_a_full_disk_is_told_and_leaves_nothing(gl, run, folder, full_disk, outp
     ("number", "output"),
     [(signal.SIGINT, "film.webp"), (signal.SIGTERM, "film.mp4"), (signal.SIGINT, "frames/%d.png")],
 )
-def test_a_film_that_is_ended_leaves_nothing(folder, number, output):
+def test_an_interrupted_film_leaves_no_file(folder, number, output):
     code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", code, "render", "floor.yaml", "--view", "eye", "--from", "0s", "--to", "300s", "-o", output],
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # what is started in the background may ignore it
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # a background process may inherit an ignored signal
     )
     before = sorted(os.listdir(folder))
     assert process.stderr is not None
-    for _ in range(3):  # some frames are drawn
+    for _ in range(3):  # wait for some frames
         assert process.stderr.readline().startswith("[")
     process.send_signal(number)
     process.communicate(timeout=120)
@@ -224,8 +228,8 @@ def test_a_film_that_is_ended_leaves_nothing(folder, number, output):
     assert sorted(os.listdir(folder)) == before
 
 
-def test_on_a_terminal_there_is_a_bar_with_the_time_left(gl, folder):
-    """And no line for each frame."""
+def test_a_terminal_shows_a_bar_with_the_time_left(gl, folder):
+    """The bar replaces the line for each frame."""
     import pty
 
     code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
@@ -248,7 +252,7 @@ def test_on_a_terminal_there_is_a_bar_with_the_time_left(gl, folder):
     assert b"Filming" in said and b"6/6" in said and b"0:00:0" in said and b"[3/6] frame" not in said
 
 
-def test_the_usual_rate_is_that_of_the_help(run):
+def test_help_states_the_default_frame_rate(run):
     status, out, _ = run("render", "--help")
     assert status == 0 and f"default: {DEFAULT_FPS:g}" in " ".join(out.split())
     assert all(option in out for option in ("--from", "--to", "--step", "--path", "--fps"))

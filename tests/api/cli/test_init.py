@@ -1,4 +1,4 @@
-"""``skugga init``: a raster's level file says what the raster is by itself, and what it leaves out is right when it is put in."""
+"""``skugga init``: the level file equals the raster's own level, and its commented-out parts are valid."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
 LEFT_OUT = re.compile(r"^#(?! \S)(?=.)")
-"""A line of the level that is left out: it begins with "#", but not as comments do."""
+"""A commented-out line of the level: in comments, a single space and a word follow the "#"; here they do not."""
 
 
 def hills(folder: Path, crs: str = "EPSG:32633", name: str = "dem.tif") -> Path:
@@ -29,7 +29,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32633", ENGINEERING])
-def test_it_is_the_rasters_own_level(run, folder, crs):
+def test_init_writes_the_raster_s_own_level(run, folder, crs):
     raster = hills(folder, crs)
     assert run("init", "dem.tif") == (0, "Wrote dem.yaml. To view it: skugga serve dem.yaml\n", "")
     written, own = load_level(folder / "dem.yaml"), build_scene(load_level(raster)).loaded
@@ -41,7 +41,7 @@ def test_it_is_the_rasters_own_level(run, folder, crs):
     assert (status, err) == (0, "") and "valid. dem; views: map, view" in out
 
 
-def test_the_view_can_be_drawn_and_is_full_of_lit_and_shaded_ground(gl, run, folder):
+def test_the_view_shows_both_lit_and_shaded_ground(gl, run, folder):
     hills(folder)
     assert run("init", "dem.tif", "-o", "a.yaml")[0] == 0
     assert run("render", "a.yaml", "--view", "view", "--layer", "mask", "--size", "160x128", "-o", "mask.png") == (0, "", "")
@@ -49,7 +49,7 @@ def test_the_view_can_be_drawn_and_is_full_of_lit_and_shaded_ground(gl, run, fol
     assert (mask == 128).mean() < 0.01 and 0.05 < (mask == 0).mean() < 0.7
 
 
-def test_every_part_that_is_left_out_is_right_when_it_is_put_in(run, folder):
+def test_every_commented_out_part_is_valid(run, folder):
     hills(folder)
     assert run("init", "dem.tif")[0] == 0
     lines = (folder / "dem.yaml").read_text(encoding="utf-8").splitlines()
@@ -83,7 +83,7 @@ def test_options_of_the_raster_are_written(run, folder):
     )
 
 
-def test_a_title_and_a_path_that_yaml_would_read_otherwise(run, folder):
+def test_titles_and_paths_are_quoted_for_yaml(run, folder):
     (folder / "there").mkdir()
     hills(folder, name='yes: "8" #1.tif')
     assert run("init", 'yes: "8" #1.tif', "-o", "there/it.yaml")[0] == 0
@@ -91,7 +91,7 @@ def test_a_title_and_a_path_that_yaml_would_read_otherwise(run, folder):
     assert loaded.level.title == 'yes: "8" #1' and loaded.source == str(folder / 'yes: "8" #1.tif')
 
 
-def test_nothing_is_written_over(run, folder):
+def test_an_existing_file_is_kept_without_force(run, folder):
     hills(folder)
     (folder / "dem.yaml").write_text("mine")
     status, out, err = run("init", "dem.tif")
@@ -109,7 +109,7 @@ def test_nothing_is_written_over(run, folder):
         (("dem.tif", "-o", "nowhere/level.yaml"), 1, ("nowhere/level.yaml",)),
     ],
 )
-def test_wrong_input(run, folder, arguments, status, words):
+def test_wrong_input_of_init_is_one_line(run, folder, arguments, status, words):
     hills(folder)
     said, out, err = run("init", *arguments)
     assert (said, out) == (status, "") and err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""A raster as LEVEL: with what stands on it, with cells that mean nothing, and with one line where a level file would say it."""
+"""A raster as LEVEL, with canopy, buildings, nodata and units given as options instead of in a level file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SUN = ("--azimuth", "180", "--altitude", "30")
 
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
-    """A folder with level ground of 100 m, a canopy raster with a tree of 20 m, a house of 10 m, and a level file."""
+    """Return a folder with flat ground at 100 m, a canopy raster with a tree of 20 m, a house of 10 m, and a level file."""
     write_geotiff(tmp_path / "dem.tif", np.full((80, 80), 100.0, np.float32), "EPSG:32633", WEST, NORTH, CELL)
     canopy = np.zeros((80, 80), np.float32)
     canopy[58:63, 18:23] = [[9, 12, 14, 12, 9]] * 5
@@ -55,14 +55,14 @@ def all_of(site: Path) -> LevelSource:
     return LevelSource(path=site / "dem.tif", canopy=site / "canopy.tif", buildings=site / "houses.geojson", nodata=7.0)
 
 
-def test_options_make_the_level_that_a_file_would(site):
+def test_options_and_a_level_file_make_the_same_level(site):
     options, file = (build_scene(load_level(source)) for source in (all_of(site), site / "level.yaml"))
     assert options.objects.kinds == file.objects.kinds == ("relief", "meshes", "forest")
     assert set(options.loaded.sources) == set(file.loaded.sources)
     assert options.loaded.level.terrain == file.loaded.level.terrain and options.loaded.level.title == file.loaded.level.title
 
 
-def test_what_stands_on_a_raster_throws_shadows(gl, run, site):
+def test_canopy_and_buildings_cast_shadows(gl, run, site):
     options = {"--canopy": site / "canopy.tif", "--buildings": site / "houses.geojson"}
     shaded = {}
     for names in ((), ("--canopy",), ("--buildings",), ("--canopy", "--buildings")):
@@ -78,7 +78,7 @@ def test_what_stands_on_a_raster_throws_shadows(gl, run, site):
     assert shaded[("--canopy", "--buildings")] == pytest.approx(shaded[("--canopy",)] + shaded[("--buildings",)], abs=5)
 
 
-def test_shade_select_and_validate_take_them(gl, run, site):
+def test_shade_select_and_validate_accept_the_options(gl, run, site):
     raster, given = str(site / "dem.tif"), ("--canopy", str(site / "canopy.tif"), "--buildings", str(site / "houses.geojson"))
     assert run("shade", raster, *given, *SUN, "-o", str(site / "mask.tif")) == (0, "", "")
     with rasterio.open(site / "mask.tif") as dataset:
@@ -89,7 +89,7 @@ def test_shade_select_and_validate_take_them(gl, run, site):
     assert status == 0 and set(json.loads(out)["algorithm"]["sun"]) == {"relief", "meshes", "forest"}
 
 
-def test_validate_tells_what_was_read(run, site):
+def test_validate_reports_trees_and_footprints(run, site):
     raster, given = str(site / "dem.tif"), ("--canopy", str(site / "canopy.tif"), "--buildings", str(site / "houses.geojson"))
     status, out, _ = run("validate", raster, *given)
     assert status == 0 and "note: " in out and "warning" not in out
@@ -98,8 +98,8 @@ def test_validate_tells_what_was_read(run, site):
     assert planted is not None and f"note: {planted[1]} trees, " in out
 
 
-def test_what_stands_on_nothing_is_told_by_every_command(gl, run, site):
-    """Each in one line, as the work goes on."""
+def test_every_command_warns_of_a_canopy_without_trees(gl, run, site):
+    """Each command warns in one line and goes on."""
     write_geotiff(site / "canopy.tif", np.zeros((80, 80), np.float32), "EPSG:32633", WEST, NORTH, CELL)
     raster, canopy = str(site / "dem.tif"), str(site / "canopy.tif")
     said = f"{canopy}: no tree is planted: of its cells 100 % lower than 0.5 m\n"
@@ -110,7 +110,7 @@ def test_what_stands_on_nothing_is_told_by_every_command(gl, run, site):
     assert f"note: warning: {said}" in run("validate", raster, "--canopy", canopy)[1]
 
 
-def test_the_service_takes_them_and_its_render_processes_too(site):
+def test_the_service_and_its_workers_accept_the_options(site):
     levels = ServedLevels([all_of(site)])
     level = levels.get("dem")
     assert level.loaded.level.forest and level.summary()["warnings"] == []
@@ -119,7 +119,7 @@ def test_the_service_takes_them_and_its_render_processes_too(site):
     assert other.version != level.version
 
 
-def test_a_collar_is_told_and_mended(gl, run, site, caplog):
+def test_a_collar_of_zeros_is_reported_and_nodata_fixes_it(gl, run, site, caplog):
     row, col = np.mgrid[:90, :120].astype(np.float32)
     heights = 600 + 90 * np.sin(col / 9) * np.cos(row / 13)
     heights[:, :30] = 0.0
@@ -130,15 +130,15 @@ def test_a_collar_is_told_and_mended(gl, run, site, caplog):
         assert status == 0 and err.startswith("skugga: warning: ") and err.count("\n") == 1 and "--nodata 0" in err
         assert run(*command, "--nodata", "0", *SUN, "-o", out) == (0, "", "")
         with rasterio.open(out) as dataset:
-            mask = dataset.read(1)[3:-3, :-3]  # a picture's outermost pixels may be halves
+            mask = dataset.read(1)[3:-3, :-3]  # a picture's outermost pixels may be half outside
             assert (mask[:, :30] == MASK_NO_SURFACE).all() and (mask[:, 31:] != MASK_NO_SURFACE).all()
     assert "warning" in run("validate", raster)[1] and "warning" not in run("validate", raster, "--nodata", "0")[1]
     (warned,) = ServedLevels([Path(raster)]).get("cut").summary()["warnings"]
     assert "nodata: 0" in warned and "cut.tif" not in warned and warned in caplog.text
 
 
-def test_feet_that_nobody_has_named_are_asked_about_and_mended(gl, run, site):
-    """A step of 10 without a unit throws a shadow of 10 m until heights are said to be feet, too."""
+def test_heights_without_a_unit_on_a_grid_in_feet_warn(gl, run, site):
+    """A step of 10 without a unit casts the shadow of 10 m. With ``--units ft`` it casts that of 3.048 m."""
     heights = np.full((20, 120), 100.0, np.float32)
     heights[:, :40] += 10.0
     raster = str(write_geotiff(site / "feet.tif", heights, "EPSG:2994", 636_000.0, 848_000.0, 3.0))
@@ -157,8 +157,10 @@ def test_feet_that_nobody_has_named_are_asked_about_and_mended(gl, run, site):
     assert status == 2 and "--units: 'yards' is not allowed. Allowed: m, ft, us-ft" in err
 
 
-def test_validate_says_what_heights_are_taken_as(run, site):
-    """A plain 100 m deep with a mount 20 m deep; who says so, and what a unit that is not known needs."""
+def test_validate_reports_the_unit_and_direction_of_heights(run, site):
+    """The rasters hold a plain 100 m deep with a mount 20 m deep. The messages name the source of unit and direction, and
+    the remedy for an unknown unit.
+    """
     depths = np.full((40, 40), 100.0, np.float32)
     depths[15:25, 15:25] = 20.0
     named = str(write_geotiff(site / "named.tif", depths, "EPSG:32633+5715", WEST, NORTH, CELL))
@@ -211,14 +213,14 @@ def test_wrong_options_are_one_line(run, site, monkeypatch, arguments, words):
         assert word in err
 
 
-def test_a_level_file_refuses_options_wherever_it_is_loaded(site):
+def test_a_level_file_refuses_raster_options(site):
     with pytest.raises(InputError, match=r"applies to rasters only, and .*level.yaml is a level file"):
         load_level(LevelSource(path=site / "level.yaml", nodata=0.0))
 
 
 @pytest.fixture
 def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]]]:
-    """The folder and the names of what would be served."""
+    """Return a list that collects the folder and level names of each call of the server."""
     calls: list[tuple[Path | None, list[str]]] = []
 
     def note(settings: Settings, levels: list[LevelSource], archives: list[Path], spawned: Spawned | None) -> None:
@@ -230,7 +232,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]
     return calls
 
 
-def test_the_command_and_the_setting(run, served, site: Path, monkeypatch: pytest.MonkeyPatch):
+def test_levels_come_from_the_command_or_the_setting(run, served, site: Path, monkeypatch: pytest.MonkeyPatch):
     level = str(site / "dem.tif")
     for arguments in (("--levels", str(site)), (level,), (level, "--levels", str(site)), ()):
         assert run("serve", *arguments) == (0, "", "")

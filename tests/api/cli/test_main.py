@@ -1,4 +1,4 @@
-"""The command line: what it writes, and one line with the right exit status for what is wrong."""
+"""The command line: its outputs, and errors in one line with the right exit status."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_render_writes_every_layer(gl, run, tmp_path):
     assert np.ptp(highest) < 1e-3 and np.nanmin(arrays["depth"]) >= 0
 
 
-def test_a_geotiff_lies_where_it_should(gl, run, tmp_path):
+def test_a_geotiff_has_the_requested_bounds_and_crs(gl, run, tmp_path):
     path = tmp_path / "mask.tif"
     bounds = "-84.30,36.26,-84.20,36.36"
     status, _, err = run(
@@ -69,7 +69,7 @@ def test_a_geotiff_lies_where_it_should(gl, run, tmp_path):
         assert set(np.unique(dataset.read(1))) == {MASK_SHADOW, MASK_LIT}
 
 
-def test_stats_say_what_ran(gl, run, tmp_path):
+def test_stats_report_passes_and_device(gl, run, tmp_path):
     stats = tmp_path / "stats.json"
     assert run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "c.png"), "--stats", str(stats))[0] == 0
     said = json.loads(stats.read_text())
@@ -79,7 +79,7 @@ def test_stats_say_what_ran(gl, run, tmp_path):
     assert said["device"]["renderer"] == gl.renderer
 
 
-def test_options_change_the_picture(gl, run, tmp_path):
+def test_each_option_changes_the_picture(gl, run, tmp_path):
     def picture(*options: str) -> np.ndarray:
         path = tmp_path / "p.png"
         assert run("render", "jacksboro", "--size", "120x120", *options, "-o", str(path))[0] == 0
@@ -139,7 +139,7 @@ def test_wrong_input_is_one_line_and_status_2(run, arguments, words, tmp_path, m
     assert not list(tmp_path.iterdir())
 
 
-def test_all_errors_of_a_file_are_told_a_line_each(run, tmp_path):
+def test_each_error_of_a_level_file_is_one_line(run, tmp_path):
     level = tmp_path / "level.yaml"
     level.write_text("version: 1\ntitel: x\nterrain: {source: jacksboro, units: yards}\nsun: {azimuth: 1, altitude: 91}\n")
     status, out, err = run("validate", str(level))
@@ -149,7 +149,7 @@ def test_all_errors_of_a_file_are_told_a_line_each(run, tmp_path):
     ]
 
 
-def test_validate_tells_of_every_file_and_place(run, tmp_path):
+def test_validate_reports_every_file_and_position(run, tmp_path):
     level = tmp_path / "level.yaml"
     keys = {
         "version": 1, "terrain": {"source": "jacksboro", "imagery": "no.tif"}, "forest": [{"source": "no.gpkg"}],
@@ -175,7 +175,7 @@ def test_an_unwritable_output_is_status_1(run, tmp_path):
     assert status == 1 and "x.png" in err and err.count("\n") == 1
 
 
-def test_what_nobody_foresaw_is_one_line_too(run, tmp_path, monkeypatch):
+def test_an_unexpected_error_is_one_line(run, tmp_path, monkeypatch):
     def broken(*_: object) -> None:
         raise ZeroDivisionError("of all things")
 
@@ -187,8 +187,8 @@ def test_what_nobody_foresaw_is_one_line_too(run, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("ended_by", "expected"), [(SystemExit(143), (143, "")), (KeyboardInterrupt(), (1, "skugga: interrupted\n"))]
 )
-def test_a_signal_that_meets_a_compiled_loop_ends_in_order(run, tmp_path, monkeypatch, ended_by, expected):
-    """Numba's dispatchers return with the signal's exception set, which Python tells as an error of its own."""
+def test_a_signal_in_a_compiled_loop_ends_the_command_cleanly(run, tmp_path, monkeypatch, ended_by, expected):
+    """Numba's dispatchers return with the signal's exception set. Python reports this as a ``SystemError``."""
 
     def interrupted(*_: object) -> None:
         raise SystemError("returned a result with an exception set") from ended_by
@@ -198,7 +198,7 @@ def test_a_signal_that_meets_a_compiled_loop_ends_in_order(run, tmp_path, monkey
     assert (status, err) == expected
 
 
-def test_levels_and_validate(run):
+def test_levels_and_validate_describe_a_bundled_level(run):
     status, out, _ = run("levels", "--json")
     rows = {row["name"]: row for row in json.loads(out)}
     assert status == 0 and {"jacksboro", "jacksboro_alpine"} <= set(rows)
@@ -210,7 +210,7 @@ def test_levels_and_validate(run):
     assert status == 0 and "jacksboro" in out
 
 
-def test_validate_refuses_what_cannot_be_drawn(run, tmp_path):
+def test_validate_refuses_an_unsupported_algorithm(run, tmp_path):
     level = tmp_path / "hills.yaml"
     level.write_text("version: 1\nterrain: {source: jacksboro}\nshadows: {algorithm: planar}\n", encoding="utf-8")
     status, _, err = run("validate", str(level))
@@ -218,8 +218,8 @@ def test_validate_refuses_what_cannot_be_drawn(run, tmp_path):
     assert f"{level}: shadows.algorithm" in err and "not flat" in err
 
 
-def test_validate_asks_for_each_view_that_the_level_lists(gl, run, tmp_path):
-    """A map has no perspective; a level that shows none may ask for a perspective map."""
+def test_validate_checks_each_view_that_the_level_lists(gl, run, tmp_path):
+    """A map has no perspective. A level without map views may use a perspective shadow map."""
     level = tmp_path / "figure.yaml"
     eye = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "size": [64, 48]}
     keys = {
@@ -233,7 +233,7 @@ def test_validate_asks_for_each_view_that_the_level_lists(gl, run, tmp_path):
         assert right or (err.count("\n") == 1 and f"in view {'plan' if views else 'map'}" in err and "no perspective" in err)
 
 
-def test_doctor_finds_this_machine_able_to_draw(gl, run):
+def test_doctor_finds_that_this_machine_can_draw(gl, run):
     status, out, _ = run("doctor", "--json")
     findings = {finding["subject"]: finding for finding in json.loads(out)}
     assert findings["OpenGL"]["ok"] and gl.renderer in findings["OpenGL"]["detail"]
@@ -259,13 +259,13 @@ def test_a_raster_is_a_level(gl, run, tmp_path):
     assert status == 2 and "hills.tif" in err and "level file" in err and raster.read_bytes() == before
 
 
-def test_what_is_neither_level_nor_raster(run, tmp_path):
+def test_a_file_that_is_neither_level_nor_raster_is_refused(run, tmp_path):
     (tmp_path / "noise.bin").write_bytes(bytes(range(128, 256)) * 9)
     status, out, err = run("validate", str(tmp_path / "noise.bin"))
     assert (status, out) == (2, "") and "noise.bin" in err and "YAML file, or a raster that GDAL reads" in err
 
 
-def test_the_version(run):
+def test_version_is_printed(run):
     assert run("--version") == (0, f"skugga {version('skugga')}\n", "")
 
 
@@ -301,7 +301,7 @@ def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypa
     assert ((none[..., 2] - none[..., 0]) > 100).mean() > 0.02, "missed shadow is blue"
 
 
-def test_compare_says_how_to_measure_what_it_left_out(gl, run, monkeypatch):
+def test_compare_prints_commands_for_the_rows_it_left_out(gl, run, monkeypatch):
     status, out, err = run("compare", "jacksboro", *SMALL, "--time-limit", "0")
     assert (status, err) == (0, "") and "soft %" in out
     commands = [line.strip() for line in out.splitlines() if line.startswith("  skugga compare ")]
@@ -313,7 +313,7 @@ def test_compare_says_how_to_measure_what_it_left_out(gl, run, monkeypatch):
 
 
 @pytest.mark.parametrize("option", ["-o", "--json"])
-def test_compare_says_at_once_that_it_cannot_write(run, tmp_path, option):
+def test_compare_refuses_an_unwritable_output_at_once(run, tmp_path, option):
     (tmp_path / "file").write_text("kept")
     status, _, err = run("compare", "jacksboro", *SMALL, option, str(tmp_path / "file" / "inside"))
     assert status == 2 and err.count("\n") == 1 and str(tmp_path / "file" / "inside") in err and "folder" in err
@@ -321,7 +321,7 @@ def test_compare_says_at_once_that_it_cannot_write(run, tmp_path, option):
 
 
 def test_truth_needs_no_opengl(tmp_path):
-    """A map view by rays makes no OpenGL context, and says so."""
+    """Ray tracing of a map view creates no OpenGL context, and the stats record none."""
     code = (
         "import sys; sys.argv = ['skugga', 'render', 'jacksboro', '--size', '60x60', '--algorithm', 'truth',"
         f" '-o', {str(tmp_path / 'x.png')!r}, '--stats', {str(tmp_path / 's.json')!r}]\n"
@@ -335,7 +335,7 @@ def test_truth_needs_no_opengl(tmp_path):
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "-inf", "1e10"])
 @pytest.mark.parametrize("command", ["render", "select"])
-def test_a_clock_that_is_no_time_is_refused(run, tmp_path, command, seconds):
+def test_a_clock_beyond_its_range_is_refused(run, tmp_path, command, seconds):
     output = ["-o", str(tmp_path / "x.png")] if command == "render" else []
     status, out, err = run(command, "jacksboro", f"--seconds={seconds}", *output)
     assert (status, out, err.count("\n")) == (2, "", 1) and "--seconds" in err and "1e+09" in err

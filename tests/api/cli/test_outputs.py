@@ -1,4 +1,4 @@
-"""Files that commands write: nothing that is read is written over, and a full disk harms no file."""
+"""Outputs of commands: no input file is overwritten, and a full disk damages no file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UTM = "EPSG:32633"
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch) -> Path:
-    """A folder, the current one, with a level made of many files."""
+    """Return the current folder, which holds a level made of many files."""
     monkeypatch.chdir(tmp_path)
     row, col = np.mgrid[:90, :120].astype(np.float32)
     ground = write_geotiff(tmp_path / "dem.tif", 300 * np.sin(col / 9) * np.cos(row / 13), UTM, 500e3, 5200e3, 30.0)
@@ -62,7 +62,7 @@ def folder(tmp_path: Path, monkeypatch) -> Path:
         "roof.png",
     ],
 )
-def test_nothing_that_a_level_is_made_of_is_a_target(folder, name):
+def test_no_file_of_a_level_is_an_output(folder, name):
     level = LevelSource(path=Path("level.yaml"))
     (folder / "link").symlink_to(name)
     os.link(folder / name, folder / "twin")
@@ -72,14 +72,14 @@ def test_nothing_that_a_level_is_made_of_is_a_target(folder, name):
             check_targets(level, [("--output", Path(spelt))])
 
 
-def test_other_files_are_targets_be_they_there_or_not(folder):
+def test_other_files_are_outputs_whether_or_not_they_exist(folder):
     (folder / "old.tif").write_bytes(b"old")
     check_targets(
         LevelSource(path=Path("level.yaml")), [("--output", Path("old.tif")), ("--stats", Path("new.json")), ("-x", None)]
     )
 
 
-def test_a_commands_other_inputs_are_no_targets(folder):
+def test_a_command_s_other_inputs_are_no_outputs(folder):
     source = LevelSource(path=Path("dem.tif"), canopy=Path("canopy.tif"))
     for name in ("dem.tif", "canopy.tif", "ortho.tif"):
         with pytest.raises(InputError, match=name):
@@ -101,7 +101,7 @@ def test_a_commands_other_inputs_are_no_targets(folder):
         (("compare", "level.yaml", "-o", "."), "png"),
     ],
 )  # fmt: skip
-def test_commands_refuse_before_they_work(run, folder, options, name):
+def test_commands_refuse_input_files_as_outputs(run, folder, options, name):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     status, out, err = run(*options)
     assert (status, out, err.count("\n")) == (2, "", 1) and name in err and "another file" in err
@@ -109,7 +109,7 @@ def test_commands_refuse_before_they_work(run, folder, options, name):
 
 
 @pytest.mark.parametrize("output", ["mask.tif", "color.tif", "depth.npy", "color.png"])
-def test_a_full_disk_is_told_and_leaves_the_old_file(run, folder, full_disk, output):
+def test_a_full_disk_is_reported_and_keeps_the_old_file(run, folder, full_disk, output):
     layer = output.partition(".")[0]
     (folder / output).write_bytes(b"old")
     with full_disk(500):
@@ -120,18 +120,18 @@ def test_a_full_disk_is_told_and_leaves_the_old_file(run, folder, full_disk, out
 
 
 @pytest.mark.parametrize("limit", [0, 700, 8000])
-def test_a_raster_on_a_full_disk_is_never_taken_for_written(run, folder, full_disk, limit):
+def test_a_raster_on_a_full_disk_is_an_error(run, folder, full_disk, limit):
     asked = ("shade", "dem.tif", "--layer", "cosi", "--azimuth", "225", "--altitude", "30", "-o")
-    assert run(*asked, "first.tif")[0] == 0  # loops are compiled, and kept, before
+    assert run(*asked, "first.tif")[0] == 0  # compiles and caches the loops before the disk is full
     with full_disk(limit):
         status, _, err = run(*asked, "cosi.tif")
     assert status == 1 and err.count("\n") == 1 and "cosi.tif" in err
     assert not (folder / "cosi.tif").exists() and not list(folder.glob(".*"))
 
 
-def test_contours_and_hours_on_a_full_disk(run, folder, full_disk):
+def test_contours_on_a_full_disk_keep_the_old_file(run, folder, full_disk):
     asked = ("sunhours", "dem.tif", "-o", "hours.tif", "--date", "2024-03-21", "--step", "1h", "--contours", "hours.gpkg")
-    assert run(*asked)[0] == 0  # its loops are compiled now, and kept in files of their own
+    assert run(*asked)[0] == 0  # compiles the loops and caches them in files
     (folder / "hours.gpkg").write_bytes(b"old")
     with full_disk(90_000):  # enough for the raster
         status, _, err = run(*asked)
@@ -142,13 +142,13 @@ def test_contours_and_hours_on_a_full_disk(run, folder, full_disk):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_run_that_is_ended_leaves_nothing_beside_its_output(folder, number):
+def test_an_interrupted_run_leaves_no_partial_file(folder, number):
     code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
     times = ("--from", "2024-03-21T06:00Z", "--to", "2024-03-28T06:00Z", "--step", "1h")
     process = subprocess.Popen(
         [sys.executable, "-c", code, "shade", "dem.tif", "-o", "m_{time}.tif", *times],
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # what is started in the background may ignore it
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # a background process may inherit an ignored signal
     )
     until = time.monotonic() + 120
     while not list(folder.glob(".m_*")) and process.poll() is None and time.monotonic() < until:

@@ -1,4 +1,4 @@
-"""``skugga overviews``: what is written beside a raster, for which rasters, and what is refused."""
+"""``skugga overviews``: files written beside a raster, the mean of heights, and refused rasters."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def raster_of(folder: Path, heights: np.ndarray, **options) -> Path:
 
 
 def mosaic_of(path: Path) -> Path:
-    """A virtual raster of two parts: the west and the east of a raster."""
+    """Write a virtual raster of two parts, the west and the east of a raster."""
     with rasterio.open(path) as dataset:
         heights, transform, crs = dataset.read(1), dataset.transform, dataset.crs.to_wkt()
     for name, part in {"west.tif": heights[:, :700], "east.tif": heights[:, 700:]}.items():
@@ -60,7 +60,7 @@ def mosaic_of(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["tif", "vrt"])
-def test_the_refusal_names_the_command_and_the_command_helps(run, tmp_path, kind):
+def test_the_error_names_the_command_that_makes_overviews(run, tmp_path, kind):
     path = raster_of(tmp_path, relief())
     path = mosaic_of(path) if kind == "vrt" else path
     before = path.read_bytes()
@@ -77,12 +77,12 @@ def test_the_refusal_names_the_command_and_the_command_helps(run, tmp_path, kind
     heights = relief().astype(float)
     means = heights[: 34 * 32, : 40 * 32].reshape(34, 32, 40, 32).mean((1, 3))
     error = np.abs(elevation.overview.heights_m - means)
-    # GDAL takes an overview's 41 columns for 1300 cells, not for 41 x 32: cells are a fraction of one off.
+    # GDAL maps an overview's 41 columns to 1300 cells, not to 41 x 32: cells are shifted by a fraction of one.
     assert error.max() < 0.2 * np.abs(np.diff(means)).max() and error[:8, :8].max() < 2.0
     assert run("overviews", str(path)) == (0, f"{path.name} has overviews of 2, 4, 8, 16, 32 cells, and needs no others\n", "")
 
 
-def test_the_last_row_of_an_odd_number_is_the_mean_of_what_there_is(run, tmp_path):
+def test_the_last_row_of_an_odd_number_is_a_mean_of_one_row(run, tmp_path):
     path = raster_of(tmp_path, relief())
     run("overviews", str(path))
     with rasterio.open(path, OVERVIEW_LEVEL=0) as dataset:
@@ -96,7 +96,7 @@ def test_the_last_row_of_an_odd_number_is_the_mean_of_what_there_is(run, tmp_pat
 
 @pytest.mark.parametrize("marked", [True, False])
 @pytest.mark.parametrize("dtype", [np.int16, np.float32])
-def test_what_is_no_height_is_in_no_mean(run, tmp_path, marked, dtype):
+def test_nodata_is_left_out_of_means(run, tmp_path, marked, dtype):
     heights = relief(dtype)
     heights[100:301, 200:401] = SENTINEL
     path = raster_of(tmp_path, heights, nodata=SENTINEL if marked else None)
@@ -107,13 +107,13 @@ def test_what_is_no_height_is_in_no_mean(run, tmp_path, marked, dtype):
         valid = (found >= 200) & (found <= 1200)
         assert np.isnan(found[~valid]).all() or (found[~valid] == SENTINEL).all()
         side = 2 ** (level + 1)
-        inside = max(200 / side - 2, 0) ** 2, (200 / side + 1) ** 2  # a cell with a height below it has one
+        inside = max(200 / side - 2, 0) ** 2, (200 / side + 1) ** 2  # a coarse cell over at least one height is valid
         assert inside[0] <= (~valid).sum() <= inside[1]
     elevation = Elevation(str(path))
     assert np.nanmin(elevation.overview.heights_m) >= 199.0
 
 
-def test_a_value_that_only_the_caller_knows_to_be_none(run, tmp_path):
+def test_a_nodata_value_given_as_an_option(run, tmp_path):
     heights = np.full((ROWS, COLS), 1000, np.int16)
     heights[100:301, 200:401] = 0
     heights[100:201, 200:401] = 7
@@ -127,8 +127,8 @@ def test_a_value_that_only_the_caller_knows_to_be_none(run, tmp_path):
 
 
 @pytest.mark.parametrize("case", ["named depths", "depths", "feet", "feet that are named"])
-def test_means_are_of_all_that_are_heights_by_their_unit_and_direction(run, tmp_path, case):
-    """Depths of up to 10,900 m, and heights of up to 14,400 ft: as metres upwards they would be none."""
+def test_means_respect_unit_and_direction_of_heights(run, tmp_path, case):
+    """Depths of up to 10,900 m and heights of up to 14,400 ft are valid. Read as metres upwards they would be none."""
     values = relief(np.float32)
     depth = "depths" in case
     values = (9000 if depth else 6000) + (values - values.min()) * ((1900 if depth else 8400) / np.ptp(values))
@@ -141,14 +141,14 @@ def test_means_are_of_all_that_are_heights_by_their_unit_and_direction(run, tmp_
     np.testing.assert_allclose(found, values[:1100].reshape(550, 2, 650, 2).mean((1, 3)), rtol=1e-6)
 
 
-def test_a_small_raster_needs_none(run, tmp_path):
+def test_a_small_raster_needs_no_overviews(run, tmp_path):
     path = raster_of(tmp_path, relief()[:300, :400])
     status, out, err = run("overviews", str(path))
     assert (status, err) == (0, "") and "needs no overviews: 400 x 300 cells" in out
     assert [each.name for each in tmp_path.iterdir()] == ["dem.tif"]
 
 
-def test_what_cannot_have_them_is_refused_with_another_way(run, tmp_path):
+def test_unsuitable_rasters_are_refused_with_a_remedy(run, tmp_path):
     two = write_geotiff(tmp_path / "two.tif", np.stack([relief(), relief()]), "EPSG:32633", 500e3, 5200e3, 30.0)
     inner = shutil.copy(raster_of(tmp_path, relief()), tmp_path / "inner.tif")
     with rasterio.open(inner, "r+") as dataset:
@@ -166,7 +166,7 @@ def test_what_cannot_have_them_is_refused_with_another_way(run, tmp_path):
     assert {each.name for each in tmp_path.iterdir()} == names | {"text.tif"}
 
 
-def test_older_ones_that_are_too_few_are_replaced_whole(run, tmp_path, tmp_path_factory, monkeypatch):
+def test_too_few_old_overviews_are_replaced(run, tmp_path, tmp_path_factory, monkeypatch):
     path = raster_of(tmp_path, relief())
     half = raster_of(tmp_path_factory.mktemp("half"), relief()[::2, ::2])
     shutil.copy(half, f"{path}.ovr")

@@ -1,4 +1,4 @@
-"""``skugga point``: its table, JSON, files, points and tracks, and what it refuses."""
+"""``skugga point``: its table, JSON, files, points, tracks and errors."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ TIME = "2024-10-21T09:00:00+02:00"
 
 @pytest.fixture
 def valley(tmp_path):
-    """A valley that runs from north to south, 1500 m deep, round 15 degrees east and 47.5 north."""
+    """Write a valley from north to south, 1500 m deep, around 15 degrees east and 47.5 north."""
     _, cols = np.mgrid[0:101, 0:101]
     heights = 300.0 + 1500.0 * np.clip(np.abs(cols - 50) / 30.0 - 0.2, 0.0, 1.0)
     return str(write_geotiff(tmp_path / "valley.tif", heights.astype(np.float32), "EPSG:32633", 495_000.0, 5_266_000.0, 100.0))
 
 
-def test_the_table(run, valley):
+def test_the_table_reports_ground_sun_and_day(run, valley):
     status, out, err = run("point", valley, "--at", AT, "--time", TIME, "--height", "1.6")
     assert (status, err) == (0, "")
     for words in ("ground 300.0 m, 1.6 m above it", "in shadow, relief", "first sun", "last sun", "hidden", "2024-10-21"):
         assert words in out, out
 
 
-def test_json(run, valley):
+def test_json_reports_the_day_and_the_year(run, valley):
     status, out, _ = run(
         "point", valley, "--at", AT, "--date", "2024-10-21", "--clock", "Europe/Vienna", "--year", "2024", "--json"
     )
@@ -56,7 +56,7 @@ def test_coordinates_of_a_crs_and_west_of_greenwich(run, valley, tmp_path):
     assert "polar" not in out and "14.40 h" in out
 
 
-def test_files(run, valley, tmp_path):
+def test_horizon_and_picture_files_are_written(run, valley, tmp_path):
     horizon, chart, picture = tmp_path / "roof.hor", tmp_path / "sun.svg", tmp_path / "sun.png"
     asked = ["point", valley, "--at", AT, "--date", "2024-10-21", "--horizon", "hor", "--output", str(horizon)]
     assert run(*asked, "--picture", str(chart))[0] == 0
@@ -70,7 +70,7 @@ def test_files(run, valley, tmp_path):
 
 @pytest.mark.parametrize("format", HORIZON_FORMATS)
 def test_a_horizon_without_a_file_is_printed_alone(run, valley, tmp_path, format):
-    """Standard output is then the very file, for another program to read."""
+    """Standard output then equals the file, so that another program can read it."""
     file = tmp_path / "horizon"
     asked = ["point", valley, "--at", AT, "--date", "2024-10-21", "--horizon", format]
     status, report, _ = run(*asked, "-o", str(file))
@@ -80,7 +80,7 @@ def test_a_horizon_without_a_file_is_printed_alone(run, valley, tmp_path, format
 
 
 def test_without_a_date_the_day_is_today(run, valley):
-    """By the clock asked for: noon of any day by one clock is not midnight by another."""
+    """Today is a date by the requested clock: noon by one clock is not midnight by another."""
     for clock in ("solar", "Pacific/Auckland"):
         before = datetime.now(clock_of(clock, 15.0, date(2024, 1, 1))).date()
         status, out, _ = run("point", valley, "--at", AT, "--clock", clock, "--json")
@@ -90,7 +90,7 @@ def test_without_a_date_the_day_is_today(run, valley):
         assert before <= date.fromisoformat(report["day"]["date"]) <= after and report["day"]["daylight_h"] > 8.0
 
 
-def test_points_of_a_csv(run, valley, tmp_path):
+def test_points_of_a_csv_are_reported_with_remarks(run, valley, tmp_path):
     file = tmp_path / "points.csv"
     file.write_text("name,lon,lat,height\nhut,15.0,47.5,2\nfar,0,0,\n", encoding="utf-8")
     status, out, _ = run("point", valley, "--points", str(file), "--time", TIME, "--json")
@@ -99,8 +99,8 @@ def test_points_of_a_csv(run, valley, tmp_path):
     assert far["now"] is None and "a place on the level's data" in far["remark"]
 
 
-def test_a_track_with_arrivals(run, valley, tmp_path):
-    """Eastwards across the valley at 6 km/h from dawn on: shade below, sun on the ridge."""
+def test_a_track_has_times_of_arrival(run, valley, tmp_path):
+    """The track crosses the valley eastwards at 6 km/h from dawn on: shade at the bottom, sun on the ridge."""
     file = tmp_path / "track.geojson"
     line = {"type": "LineString", "coordinates": [[14.98, 47.5], [15.03, 47.5]]}
     file.write_text(json.dumps({"type": "Feature", "properties": {}, "geometry": line}), encoding="utf-8")
@@ -116,7 +116,7 @@ def test_a_track_with_arrivals(run, valley, tmp_path):
 
 
 def test_a_gpx_is_a_track_and_its_points_have_times(run, valley, tmp_path):
-    """Its first layer, waypoints, is empty."""
+    """The first layer of the file, waypoints, is empty."""
     file = tmp_path / "tour.gpx"
     steps = "".join(
         f'<trkpt lat="47.5" lon="{lon}"><time>2024-10-21T{hour}:00:00Z</time></trkpt>'
@@ -184,7 +184,7 @@ def test_one_bad_point_among_many_is_named(run, valley, tmp_path, name, text, sa
         (["--points", "nowhere.csv"], "nowhere.csv"),
     ],
 )
-def test_what_is_wrong_is_one_line(run, valley, arguments, words):
+def test_wrong_options_are_one_line(run, valley, arguments, words):
     status, out, err = run("point", valley, *arguments)
     assert status == 2 and out == "" and err.count("\n") == 1 and words in err
 

@@ -1,4 +1,4 @@
-"""``skugga seed`` as a command: what it prints, what is wrong in one line, and render processes of its own."""
+"""``skugga seed`` as a command: its messages, errors in one line, and its own render processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def raster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return write_ground(tmp_path / "dem.tif", rough_ground(120))
 
 
-def test_from_a_raster_to_an_archive(run, raster, tmp_path):
+def test_seed_writes_an_archive_of_a_raster(run, raster, tmp_path):
     status, out, _ = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--dry-run", "--json")
     outlook = json.loads(out)
     assert status == 0 and outlook["total"]["tasks"] >= 2 and {row["why"] for row in outlook["rows"]} == {"not drawn yet"}
@@ -68,7 +68,7 @@ def test_wrong_input_is_one_line(run, raster, tmp_path, options, words):
     assert not list(tmp_path.glob("a.pmtiles")) and (tmp_path / "full" / "mine.txt").read_text(encoding="utf-8") == "kept"
 
 
-def test_a_folder_that_cannot_be_written(run, raster, tmp_path):
+def test_an_unwritable_folder_is_one_line(run, raster, tmp_path):
     (tmp_path / "shards").write_text("a file", encoding="utf-8")
     status, _, err = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--shards", "shards")
     assert status == 1 and "shards" in err and err.count("\n") == 1
@@ -86,7 +86,7 @@ def test_a_day_of_archives_has_one_table(run, raster, tmp_path):
     assert names == ["m_20240321T080000Z.pmtiles", "m_20240321T100000Z.pmtiles", "m_times.pmtiles.seed"]
 
 
-def test_a_full_disk_is_told_and_nothing_is_lost(run, raster, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_and_keeps_the_archive(run, raster, tmp_path, monkeypatch):
     assert run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--workers", "1")[0] == 0
     before = (tmp_path / "a.pmtiles").read_bytes()
     write_ground(raster, rough_ground(120, seed=9))

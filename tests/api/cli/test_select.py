@@ -1,4 +1,4 @@
-"""``skugga select``: plans in words and as JSON, and choices pinned into level files."""
+"""``skugga select``: plans as text and JSON, and choices pinned in level files."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from skugga.terrain.level.level import load_level
 
 @pytest.fixture
 def level(tmp_path: Path) -> Path:
-    """A level file that may be written."""
+    """Return a writable copy of a level file."""
     return Path(shutil.copy("configs/jacksboro.yaml", tmp_path / "mine.yaml"))
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_the_published_schemas_are_those_of_the_models(model):
+def test_the_published_schemas_match_the_models(model):
     text = (DOCS / model).read_text(encoding="utf-8")
     assert text == schema_text(MODELS[model]), "python scripts/write_schemas.py writes them anew"
 
 
-def test_json_is_a_plan_by_the_published_schema(gl, run):
+def test_json_is_a_plan_of_the_published_schema(gl, run):
     status, out, err = run("select", "jacksboro", "--policy", "rules", "--json")
     plan = Plan.model_validate_json(out)
     assert (status, err) == (0, "") and plan.policy == "rules" and plan.predicted is None
     assert set(json.loads(out)) == set(json.loads((DOCS / "plan.schema.json").read_text())["properties"])
 
 
-def test_an_uncalibrated_device_falls_back_to_the_rules_and_says_so(gl, run):
+def test_an_uncalibrated_device_falls_back_to_the_rules(gl, run):
     status, out, _ = run("select", "jacksboro", "--policy", "predict")
     assert status == 0 and "not calibrated" in out and "chosen by the rules" in " ".join(out.split())
 
 
-def test_a_probe_is_the_default_and_says_what_it_drew_and_what_that_changed(gl, run):
+def test_a_probe_is_the_default_and_reports_its_candidates(gl, run):
     status, out, _ = run("select", "jacksboro", "--size", "128x128")
     said = " ".join(out.split())
     assert status == 0 and "chosen by a probe" in said and "This device is not calibrated" in said
@@ -51,7 +51,7 @@ def test_a_probe_is_the_default_and_says_what_it_drew_and_what_that_changed(gl, 
 
 
 @pytest.mark.parametrize("path", bundled_levels(), ids=lambda path: path.stem)
-def test_each_bundled_level_has_a_plan_in_words(gl, run, path):
+def test_each_bundled_level_has_a_plan_as_text(gl, run, path):
     name = next(iter(load_level(path).level.views), "map")
     status, out, err = run("select", path.stem, "--view", name, "--policy", "rules")
     assert (status, err) == (0, "")
@@ -63,7 +63,7 @@ def test_each_bundled_level_has_a_plan_in_words(gl, run, path):
     assert all(part.rstrip().endswith(".") for part in paragraphs)
 
 
-def test_every_reason_of_a_plan_is_told_once(gl, run):
+def test_the_text_of_a_plan_has_every_reason(gl, run):
     _, out, _ = run("select", "thesis_room", "--view", "main", "--policy", "rules", "--json")
     plan = Plan.model_validate_json(out)
     told = " ".join(format_plan(plan, "A plan.").split())
@@ -115,7 +115,7 @@ def test_wrong_input_is_one_line(run, level, arguments, words):
     assert level.read_bytes() == before
 
 
-def test_a_pinned_choice_is_what_is_then_taken(gl, run, level):
+def test_a_pinned_choice_is_used_afterwards(gl, run, level):
     before = level.read_text(encoding="utf-8")
     status, _, err = run("select", str(level), "--policy", "rules", "--write")
     text = level.read_text(encoding="utf-8")
@@ -130,7 +130,7 @@ def test_a_pinned_choice_is_what_is_then_taken(gl, run, level):
     assert drawn["reasons"][0]["reason"] == "set by the level"
 
 
-def test_a_second_choice_is_made_as_if_there_had_been_no_first(gl, run, level):
+def test_a_second_choice_ignores_the_first_pin(gl, run, level):
     run("select", str(level), "--policy", "rules", "--algorithm", "hybrid", "--map-size", "300", "--write")
     assert load_level(level).level.shadows.algorithm == {"relief": "hybrid"} and load_level(level).level.shadows.map_size == 300
     run("select", str(level), "--policy", "rules", "--write")
@@ -139,7 +139,7 @@ def test_a_second_choice_is_made_as_if_there_had_been_no_first(gl, run, level):
     assert text.count("Pinned by") == 1 and "hybrid" not in text
 
 
-def test_what_another_view_could_not_be_drawn_with_is_not_pinned(gl, run, tmp_path):
+def test_a_choice_that_another_view_cannot_use_is_not_pinned(gl, run, tmp_path):
     path = Path(shutil.copy("configs/thesis_street_sun.yaml", tmp_path / "street.yaml"))
     before = path.read_bytes()
     arguments = ("--view", "main", "--policy", "rules", "--algorithm", "perspective_shadow_map", "--write")
@@ -148,7 +148,7 @@ def test_what_another_view_could_not_be_drawn_with_is_not_pinned(gl, run, tmp_pa
     assert path.read_bytes() == before
 
 
-def test_the_descriptor_is_written_as_it_is_read(gl, run, tmp_path):
+def test_the_descriptor_survives_a_round_trip(gl, run, tmp_path):
     path = tmp_path / "facts.json"
     status, _, _ = run("select", "jacksboro", "--policy", "rules", "--descriptor", str(path))
     described = Descriptor.model_validate_json(path.read_text(encoding="utf-8"))
@@ -162,7 +162,7 @@ def made(predicted: Predicted | None, **target) -> Plan:
     )  # fmt: skip
 
 
-def test_the_target_is_told_met_or_missed_and_by_how_much():
+def test_the_target_is_reported_as_met_or_missed():
     assert "not predicted" in format_expectation(made(None)) and "at most 3 %" in format_expectation(made(None))
     figures = Predicted(ms=55.0, wrong=0.01, wrong_cast=0.05)
     met = format_expectation(made(figures, max_error=0.06, max_ms=60, met=True))
@@ -173,7 +173,7 @@ def test_the_target_is_told_met_or_missed_and_by_how_much():
     assert format_overshoot(made(figures, max_error=0.06, max_ms=40, met=False)) == "15 ms"
 
 
-def test_what_a_service_refuses_is_not_told_to_meet_the_target(monkeypatch):
+def test_a_plan_over_the_render_timeout_misses_the_target(monkeypatch):
     monkeypatch.setenv("SKUGGA_RENDER_TIMEOUT_S", "0.05")
     said = format_expectation(made(Predicted(ms=55.0, wrong=0.01, wrong_cast=0.01), met=True))
     assert "meets the target" not in said and "refuses" in said and "SKUGGA_RENDER_TIMEOUT_S" in said and "50 ms" in said
@@ -188,7 +188,7 @@ def profile(**changes) -> DeviceProfile:
     return DeviceProfile(**{**fields, **changes})
 
 
-def test_calibrate_measures_keeps_and_says_so(run, monkeypatch):
+def test_calibrate_saves_and_reports_the_profile(run, monkeypatch):
     fits = {"shadow_map": Residual(rows=9, median=0.05, p90=0.2)}
     measured = profile(rates_ns={"depth_map": {"texels": 1.5, "triangles": 20.0}}, residuals=fits)
     monkeypatch.setattr("skugga.selector.cost.calibration.calibrate", lambda on_step: on_step(1, 2) or measured)
@@ -200,7 +200,7 @@ def test_calibrate_measures_keeps_and_says_so(run, monkeypatch):
     assert run("calibrate", "--json")[1] == measured.model_dump_json(indent=2) + "\n"
 
 
-def test_calibrate_without_a_place_to_keep_it_is_one_line(run, monkeypatch, tmp_path):
+def test_calibrate_without_a_writable_cache_is_one_line(run, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     monkeypatch.setattr("skugga.selector.cost.calibration.calibrate", lambda on_step: profile())

@@ -30,14 +30,14 @@ def level(tmp_path: Path) -> Path:
     return path
 
 
-def test_each_view_has_a_row_and_the_tiles_are_map(run, level):
+def test_each_view_and_the_map_have_a_row(run, level):
     status, out, err = run("select", str(level), *RULES)
     assert (status, err) == (0, "")
     rows = [line.split()[0] for line in out.splitlines() if line.strip() and line.split()[0] in ("map", "eye", "away")]
     assert rows == ["map", "eye", "away"] and "35 degrees high in the south-south-west" in out and "not predicted" in out
 
 
-def test_json_has_an_object_a_view(run, level):
+def test_json_has_one_object_for_each_view(run, level):
     _, out, _ = run("select", str(level), *RULES, "--json", "--azimuth", "90", "--altitude", "20")
     rows = json.loads(out)
     assert [row["view"] for row in rows] == ["map", "eye", "away"]
@@ -48,7 +48,7 @@ def test_json_has_an_object_a_view(run, level):
     assert rows[1]["plan"] == one
 
 
-def test_written_pins_are_what_is_then_planned(run, level):
+def test_written_pins_are_used_by_later_plans(run, level):
     before = {row["view"]: row["plan"] for row in json.loads(run("select", str(level), *RULES, "--json")[1])}
     status, _, err = run("select", str(level), *RULES, "--write")
     assert status == 0 and str(level) in err
@@ -64,7 +64,7 @@ def test_written_pins_are_what_is_then_planned(run, level):
     assert level.read_text() == text
 
 
-def test_a_pin_for_all_views_takes_the_place_of_the_list_and_back(run, level):
+def test_one_pin_for_all_views_replaces_the_list_and_back(run, level):
     run("select", str(level), *RULES, "--algorithm", "hybrid", "--write")
     assert all("hybrid" in json.dumps(pin.algorithm) for pin in load_level(level).level.shadows.pins)
     run("select", str(level), "--view", "eye", "--policy", "rules", "--write")
@@ -92,7 +92,7 @@ def test_wrong_input_is_one_line(run, level, arguments, words):
     assert level.read_text() == LEVEL
 
 
-def test_validate_looks_at_pins_under_their_suns(run, level):
+def test_validate_checks_pins_under_their_suns(run, level):
     pins = "  pins: [{view: eye, algorithm: hybrid}, {view: map, sun_altitude_deg: [40, 60], algorithm: perspective_shadow_map}]\n"
     level.write_text(LEVEL + pins)
     status, _, err = run("validate", str(level))

@@ -1,4 +1,4 @@
-"""Archives of tiles on the command line of ``skugga serve``."""
+"""Tile archives on the command line of ``skugga serve``."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_wrong_archive_is_one_line_and_status_2(run, tmp_path: Path, kind: str
     assert (status, out, err.count("\n")) == (2, "", 1) and str(path) in err and words in err
 
 
-def test_options_of_rasters_are_not_for_archives(run, tmp_path: Path, monkeypatch):
+def test_raster_options_are_refused_for_archives(run, tmp_path: Path, monkeypatch):
     monkeypatch.setattr("skugga.api.cli.commands.serve.forbid_remote_reads", lambda: None)
     path = write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG})
     status, out, err = run("serve", str(path), "--nodata", "0")

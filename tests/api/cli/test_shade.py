@@ -1,4 +1,4 @@
-"""``skugga shade``: many times, file names, and one line for what is wrong."""
+"""``skugga shade``: several times, file names, and errors in one line."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def raster(tmp_path: Path) -> Path:
     return write_geotiff(tmp_path / "dem.tif", 300 * np.sin(col / 9) * np.cos(row / 13), "EPSG:32633", 500e3, 5200e3, 30.0)
 
 
-def test_from_a_raster_to_its_mask_is_one_command(run, raster, tmp_path):
+def test_shade_writes_the_mask_of_a_raster(run, raster, tmp_path):
     status, out, err = run("shade", str(raster), "-o", str(tmp_path / "mask.tif"))
     assert (status, out) == (0, "") and err.startswith("skugga: dem is drawn with its default light")
     with rasterio.open(tmp_path / "mask.tif") as dataset:
         assert 0.02 < (dataset.read(1) == 0).mean() < 0.7
 
 
-def test_on_a_terminal_it_is_said_which_sun_nobody_chose(run, raster, tmp_path, monkeypatch):
+def test_a_terminal_shows_which_default_light_is_used(run, raster, tmp_path, monkeypatch):
     monkeypatch.setattr("skugga.api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
     status, _, err = run("shade", str(raster), "-o", str(tmp_path / "mask.tif"))
     assert status == 0 and err.startswith("skugga: dem is drawn with its default light, the sun ") and "--time" in err
@@ -36,7 +36,7 @@ def test_on_a_terminal_it_is_said_which_sun_nobody_chose(run, raster, tmp_path, 
     assert status == 0 and "default light" not in err
 
 
-def test_a_day_of_masks(run, raster, tmp_path):
+def test_several_times_write_one_file_each(run, raster, tmp_path):
     day = ("--from", "2024-03-21T08:00:00+01:00", "--to", "2024-03-21T12:00:00+01:00", "--step", "2h")
     assert run("shade", str(raster), *day, "-o", str(tmp_path / "m_{time}.tif")) == (0, "", "")
     names = sorted(path.name for path in tmp_path.glob("m_*.tif"))
@@ -56,7 +56,7 @@ def test_a_day_of_masks(run, raster, tmp_path):
         (("-o", "m.tif", "--bounds", "0,0,9,9"), ("bounds", "UTM zone 33N")),
     ],
 )  # fmt: skip
-def test_wrong_input(run, raster, tmp_path, monkeypatch, options, words):
+def test_wrong_input_of_shade_is_one_line(run, raster, tmp_path, monkeypatch, options, words):
     monkeypatch.chdir(tmp_path)
     status, out, err = run("shade", "dem.tif", *options)
     assert status in (1, 2) and out == "" and err.count("\n") == 1
@@ -77,13 +77,13 @@ COMMANDS = ("shade", "--azimuth", "200", "--altitude", "30"), ("sunhours", "--da
         ("EPSG:32633", (499.1e3, 5200e3), 30.0, "in part"),
         ("EPSG:32633", (503.6e3, 5200e3), 30.0, "not"),
         ("EPSG:4326", (15.001, 46.952), 3e-4, "within"),
-        ("EPSG:4326", (375.001, 46.952), 3e-4, "within"),  # a turn further
+        ("EPSG:4326", (375.001, 46.952), 3e-4, "within"),  # 360 degrees further
         ("EPSG:4326", (15.03, 46.952), 3e-4, "in part"),
         ("EPSG:4326", (-15.0, 46.952), 3e-4, "not"),
     ],
 )
-def test_like_tells_where_it_does_not_meet_the_level(run, raster, tmp_path, command, crs, corner, cell, meets):
-    """A raster of 60 x 60 cells, of which the level's first one has 90 x 120."""
+def test_like_reports_an_extent_outside_the_level(run, raster, tmp_path, command, crs, corner, cell, meets):
+    """The raster of ``--like`` has 60 x 60 cells; the level has 90 x 120."""
     like, output = write_geotiff(tmp_path / "like.tif", np.zeros((60, 60), np.uint8), crs, *corner, cell), tmp_path / "out.tif"
     status, _, err = run(command[0], str(raster), *command[1:], "--like", str(like), "-o", str(output))
     assert output.exists() == (meets != "not")
@@ -99,7 +99,7 @@ def test_like_tells_where_it_does_not_meet_the_level(run, raster, tmp_path, comm
             assert 0.0 < dataset.dataset_mask().astype(bool).mean() < 1.0
 
 
-def test_times_from_to_by_steps():
+def test_from_to_and_step_give_times():
     suns = suns_from_options(None, None, "2024-03-21T08:00+01:00", "2024-03-21T09:00+01:00", "15m")
     assert [sun.time.isoformat() for sun in suns if sun] == [f"2024-03-21T08:{m:02}:00+01:00" for m in (0, 15, 30, 45)] + [
         "2024-03-21T09:00:00+01:00"
@@ -115,6 +115,6 @@ def test_times_from_to_by_steps():
         (None, None, "2024-03-21T08:00Z", "2034-03-21T09:00Z", "1s"), (None, None, "2024-03-21T08:00Z", "2024-03-21T09:00Z", "15x"),
     ],
 )  # fmt: skip
-def test_times_that_are_none(given):
+def test_invalid_times_are_refused(given):
     with pytest.raises(InputError):
         suns_from_options(*given)

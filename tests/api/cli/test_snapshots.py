@@ -41,7 +41,7 @@ LEVEL = {
         "low": {"kind": "perspective", "eye": [-60, -70, 20], "target": [0, 0, 18], "fov": 60, "size": [WIDTH, HEIGHT]},
     },
 }
-"""A figure that turns on a floor, under the sun and a lamp."""
+"""A rotating figure on a floor, under the sun and a lamp."""
 
 
 def write_yard(folder: Path, name: str = "yard", **keys) -> Path:
@@ -57,7 +57,7 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def yards(yard: Path) -> Iterator[Client]:
-    """A service of ``yard``, and of ``cellar`` where the lamp alone shines, with one real render process."""
+    """Run a service with one real render process over ``yard`` and over ``cellar``, whose only light is the lamp."""
     cellar = write_yard(yard.parent, "cellar", sun="none", views={**LEVEL["views"], "map": {"kind": "map", "size": [90, 70]}})
     with running(create_app(Settings(workers=1), [yard, cellar])) as client:
         yield client
@@ -75,7 +75,7 @@ def pixels(answer: httpx.Response) -> np.ndarray:
         ("webp", "color", "RGB", "WEBP"), ("webp", "shadow", "RGBA", "WEBP"), ("jpg", "color", "RGB", "JPEG"),
     ],
 )  # fmt: skip
-def test_formats(yards: Client, format: str, layer: str, mode: str, kind: str):
+def test_formats_and_layers_have_their_image_modes(yards: Client, format: str, layer: str, mode: str, kind: str):
     answer = yards.get(f"{YARD}.{format}", params={"view": "across", "layer": layer})
     image = Image.open(io.BytesIO(answer.content))
     assert (image.size, image.mode, image.format) == ((WIDTH, HEIGHT), mode, kind)
@@ -83,7 +83,7 @@ def test_formats(yards: Client, format: str, layer: str, mode: str, kind: str):
 
 
 @pytest.mark.parametrize("view", ["across", "map"])
-def test_a_snapshot_is_what_is_drawn_in_this_process(yards: Client, yard: Path, view: str):
+def test_a_snapshot_equals_one_drawn_in_this_process(yards: Client, yard: Path, view: str):
     size = None if view == "across" else (64, 48)
     asked = {"view": view, "azimuth": 200, "altitude": 30, "map_size": 512, "depth_bits": 24, "filter": 2, "seconds": 1.5}
     overrides = {"map_size": 512, "depth_bits": 24, "filter": 2}
@@ -112,7 +112,7 @@ def test_the_sky_is_opaque_and_has_no_shadow(yards: Client):
     assert (shadow[sky] == 0).all()
 
 
-def test_the_default_view_is_the_map_where_it_is_listed_and_else_the_first(yards: Client):
+def test_the_default_view_is_the_listed_map_or_the_first(yards: Client):
     first, named = (yards.get(f"{YARD}.png", params=query) for query in ({}, {"view": "across"}))
     assert (first.content, first.headers["etag"]) == (named.content, named.headers["etag"])
     assert pixels(yards.get("/levels/cellar/snapshot.png")).shape == (70, 90, 4)
@@ -120,12 +120,12 @@ def test_the_default_view_is_the_map_where_it_is_listed_and_else_the_first(yards
     assert yards.get("/levels/cellar/plan").json()["view"] == "map"
 
 
-def test_size(yards: Client):
+def test_the_size_of_the_query_is_respected(yards: Client):
     assert pixels(yards.get(f"{YARD}.png", params={"view": "across", "size": "50x33"})).shape == (33, 50, 4)
     assert pixels(yards.get(f"{YARD}.png", params={"view": "map", "size": "50x33"})).shape == (33, 50, 4)
 
 
-def test_the_light_of_the_query_is_whose_shadow_is_shown(yards: Client):
+def test_the_light_of_the_query_selects_the_shadow(yards: Client):
     def mask(**query) -> np.ndarray:
         return pixels(yards.get(f"{YARD}.png", params={"view": "across", "layer": "mask", **query}))
 
@@ -135,7 +135,7 @@ def test_the_light_of_the_query_is_whose_shadow_is_shown(yards: Client):
     assert np.array_equal(lamp == MASK_NO_SURFACE, sun == MASK_NO_SURFACE)
     before = yards.service.pool.counters.answered
     sunlit, lamplit = (yards.get(f"{YARD}.png", params={"view": "across", **query}) for query in ({}, {"light": "lamp"}))
-    assert sunlit.content == lamplit.content  # light is of shadow and mask: colour is under all lights
+    assert sunlit.content == lamplit.content  # light applies to shadow and mask: colour shows all lights
     assert yards.service.pool.counters.answered - before <= 1
 
 
@@ -149,16 +149,16 @@ def test_a_level_without_a_sun_shows_its_lamp(yards: Client):
     assert MASK_LIT in pixels(lit)
 
 
-def test_the_clock_turns_what_moves(yards: Client):
+def test_the_clock_rotates_moving_meshes(yards: Client):
     def mask(seconds: float) -> np.ndarray:
         return pixels(yards.get(f"{YARD}.png", params={"view": "map", "size": "100x100", "layer": "mask", "seconds": seconds}))
 
     still, turned, round_ = mask(0), mask(2), mask(12)
     assert (still != turned).mean() > 0.002
-    assert (still != round_).mean() < 0.0005  # 12 s of 30 degrees are once round
+    assert (still != round_).mean() < 0.0005  # 12 s at 30 degrees per second are one turn
 
 
-def test_headers(yards: Client):
+def test_headers_report_timings_algorithm_and_caching(yards: Client):
     answer = yards.get(f"{YARD}.png", params={"view": "across"})
     plan = yards.get("/levels/yard/plan", params={"view": "across"}).json()
     assert plan["view"] == "across"
@@ -177,7 +177,7 @@ def test_headers(yards: Client):
     assert elsewhere.headers["access-control-allow-origin"] == "*"
 
 
-def test_algorithms_of_the_query(yards: Client):
+def test_the_algorithm_of_the_query_is_used(yards: Client):
     def answer(algorithm: str) -> httpx.Response:
         return yards.get(f"{YARD}.png", params={"view": "across", "layer": "mask", "algorithm": algorithm})
 
@@ -186,8 +186,8 @@ def test_algorithms_of_the_query(yards: Client):
     assert (pixels(answer("none")) == MASK_SHADOW).sum() < (pixels(answer("shadow_map")) == MASK_SHADOW).sum()
 
 
-def test_volumes_of_the_query(yards: Client):
-    """However they are counted, and whether everywhere or where a map cannot decide: the same shadow."""
+def test_variants_of_volumes_draw_the_same_shadow(yards: Client):
+    """Shadow volumes draw the same shadow by each way of counting, everywhere or only where a map cannot decide."""
 
     def answer(algorithm: str, **query) -> httpx.Response:
         return yards.get(f"{YARD}.png", params={"view": "across", "layer": "mask", "algorithm": algorithm, **query})
@@ -200,7 +200,7 @@ def test_volumes_of_the_query(yards: Client):
         np.testing.assert_array_equal(pixels(drawn), plain)
 
 
-def test_what_the_client_has_costs_no_rendering(yards: Client):
+def test_a_cached_picture_costs_no_rendering(yards: Client):
     query = {"view": "across", "size": "40x30", "seconds": 0.25}
     tag = yards.get(f"{YARD}.png", params=query).headers["etag"]
     before = yards.service.pool.counters.answered
@@ -216,7 +216,7 @@ def test_what_the_client_has_costs_no_rendering(yards: Client):
     assert yards.service.pool.counters.answered == before
 
 
-def test_tags_tell_pictures_apart(yards: Client):
+def test_different_queries_have_different_entity_tags(yards: Client):
     queries = [
         "png?view=across", "webp?view=across", "png?view=low", "png?view=across&layer=mask", "png?view=across&layer=shadow",
         "png?view=across&layer=mask&light=lamp", "png?view=across&seconds=1", "png?view=across&size=10x10",
@@ -228,7 +228,7 @@ def test_tags_tell_pictures_apart(yards: Client):
 
 
 def entity_tag(client: Client, address: str) -> str:
-    """The tag of a picture that is not drawn for it."""
+    """Return the entity tag of a picture without drawing it."""
     answer = client.get(address, headers={"If-None-Match": "*"})
     assert answer.status_code == 304
     return answer.headers["etag"]
@@ -236,7 +236,7 @@ def entity_tag(client: Client, address: str) -> str:
 
 def test_equal_snapshots_at_once_are_one_render(yards: Client):
     before = yards.service.pool.counters.answered
-    query = {"view": "across", "azimuth": 33, "altitude": 44}  # that nobody has asked for yet
+    query = {"view": "across", "azimuth": 33, "altitude": 44}  # not requested before
     with ThreadPoolExecutor(4) as threads:
         answers = list(threads.map(lambda _: yards.get(f"{YARD}.png", params=query), range(4)))
     assert len({answer.content for answer in answers}) == 1
@@ -277,16 +277,16 @@ def test_equal_snapshots_at_once_are_one_render(yards: Client):
         ("png?algorithm=moon%3Dshadow_map", "algorithm", "lamp"),
     ],
 )
-def test_wrong_parameters(yards: Client, query: str, parameter: str, said: str):
+def test_wrong_parameters_are_422(yards: Client, query: str, parameter: str, said: str):
     problem = check_problem(yards.get(f"{YARD}.{query}"), 422, "invalid_parameter", parameter)
     assert parameter in problem["detail"] and said in problem["detail"]
 
 
-def test_an_unknown_level(yards: Client):
+def test_an_unknown_level_is_404(yards: Client):
     check_problem(yards.get("/levels/attic/snapshot.png"), 404, "not_found", "level")
 
 
-def test_documentation(yards: Client):
+def test_openapi_lists_all_parameters(yards: Client):
     described = yards.get("/openapi.json").json()["paths"]["/levels/{level}/snapshot.{format}"]["get"]
     assert {each["name"] for each in described["parameters"]} == {
         "level", "format", "view", "size", "layer", "light", "seconds",
@@ -296,11 +296,11 @@ def test_documentation(yards: Client):
     }  # fmt: skip
 
 
-def test_truth_is_refused_of_plans_too(yards: Client):
+def test_plans_refuse_truth_too(yards: Client):
     check_problem(yards.get("/levels/yard/plan?view=across&algorithm=lamp%3Dtruth"), 422, "invalid_parameter", "algorithm")
 
 
-def test_a_level_tells_its_views_and_lights(yards: Client):
+def test_a_level_lists_its_views_and_lights(yards: Client):
     yard, cellar = (yards.get(f"/levels/{name}").json() for name in ("yard", "cellar"))
     assert yard["views"] == ["across", "low"]
     assert yard["view_kinds"] == {name: {"kind": "perspective", "size": [WIDTH, HEIGHT]} for name in ("across", "low")}
@@ -311,18 +311,18 @@ def test_a_level_tells_its_views_and_lights(yards: Client):
 
 def test_pixels_are_bounded_by_a_setting(serve_with):
     client = serve_with(fake_workers.obedient, max_snapshot_pixels=10_000)
-    for query in ("", "?size=101x100"):  # the view's own size is no way round it
+    for query in ("", "?size=101x100"):  # the view's own size is bounded too
         problem = check_problem(client.get(f"/levels/hills/snapshot.png{query}"), 422, "invalid_parameter", "size")
         assert "10000" in problem["detail"] and "SKUGGA_MAX_SNAPSHOT_PIXELS" in problem["detail"]
     assert entity_tag(client, "/levels/hills/snapshot.png?size=100x100")
 
 
-def test_a_snapshot_that_takes_too_long(serve_with):
+def test_a_snapshot_that_takes_too_long_is_504(serve_with):
     client = serve_with(fake_workers.hanging, render_timeout_s=0.3)
     check_problem(client.get("/levels/hills/snapshot.png"), 504, "render_timeout", None)
 
 
-def test_a_second_snapshot_is_refused_until_its_client_leaves(serve_with):
+def test_a_full_queue_refuses_until_a_client_leaves(serve_with):
     client = serve_with(fake_workers.never_ready, queue_work_s=0.1)
     pool = client.service.pool
     with socket.create_connection((client.base_url.host, client.base_url.port)) as gone:
@@ -337,8 +337,8 @@ def test_a_second_snapshot_is_refused_until_its_client_leaves(serve_with):
     assert pool.counters.abandoned == 1
 
 
-def test_a_view_that_cannot_be_drawn_is_the_operators_fault(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    """The level is served all the same; the log names the view at once."""
+def test_a_view_that_cannot_be_drawn_is_logged_at_start(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    """The service still serves the level. The log names the view at once."""
     outside = {"kind": "perspective", "eye": [5000, 0, 10], "target": [0, 0, 0]}
     levels = ServedLevels([write_yard(tmp_path, views={**LEVEL["views"], "outside": outside})])
     assert levels.get("yard").view_sizes == {
@@ -350,7 +350,7 @@ def test_a_view_that_cannot_be_drawn_is_the_operators_fault(tmp_path: Path, capl
     assert "views.outside.eye" in caplog.text
 
 
-def test_a_changed_forest_is_another_picture(tmp_path: Path):
+def test_a_changed_forest_changes_the_entity_tag(tmp_path: Path):
     stand = tmp_path / "stand.geojson"
     tree = {"type": "Feature", "properties": {"h": 9}, "geometry": {"type": "Point", "coordinates": [20, 5]}}
     stand.write_text(json.dumps({"type": "FeatureCollection", "features": [tree]}), encoding="utf-8")
@@ -367,7 +367,7 @@ def test_a_changed_forest_is_another_picture(tmp_path: Path):
     assert after != before
 
 
-def test_a_process_that_grows_keeps_only_the_level_that_it_draws(tmp_path: Path):
+def test_a_process_over_its_limit_keeps_one_level(tmp_path: Path):
     grown = False
     scenes = SceneCache(process_bytes=lambda: MAX_PROCESS_BYTES + 1 if grown else 0)
     keys = [LevelKey(path=write_yard(tmp_path, name), version="1") for name in ("a", "b")]
@@ -376,10 +376,10 @@ def test_a_process_that_grows_keeps_only_the_level_that_it_draws(tmp_path: Path)
     grown = True
     assert scenes.get(keys[1]) is second
     assert len(scenes) == 1
-    assert scenes.get(keys[1]) is second  # alone it is kept however large it is
+    assert scenes.get(keys[1]) is second  # a single level stays, whatever its size
 
 
-def test_memory_of_this_process():
+def test_resident_bytes_measures_an_allocation():
     before = resident_bytes()
     if not before:
         pytest.skip("this system has no /proc")

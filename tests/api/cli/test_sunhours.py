@@ -1,4 +1,4 @@
-"""``skugga sunhours``: its options, and what is wrong with them in one line."""
+"""``skugga sunhours``: its options, and their errors in one line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def raster(tmp_path):
     return write_geotiff(tmp_path / "wall.tif", heights, "EPSG:32632", 500e3, 5200e3, 10.0)
 
 
-def test_a_window_of_solar_time_over_some_dates_with_contours(run, raster, tmp_path):
+def test_a_window_of_solar_time_with_contours(run, raster, tmp_path):
     status, _, error = run(
         "sunhours", str(raster), "-o", str(tmp_path / "hours.tif"), "--date", "2024-12-01", "--to", "2024-12-21", "--every", "10d",
         "--window", "08:00-16:00", "--step", "15m", "--contours", str(tmp_path / "lines.gpkg"), "--levels", "2,4",
@@ -29,7 +29,7 @@ def test_a_window_of_solar_time_over_some_dates_with_contours(run, raster, tmp_p
     assert set(pyogrio.raw.read(tmp_path / "lines.gpkg")[3][0]) <= {2.0, 4.0}
 
 
-def test_days_over_a_threshold_by_a_clock(run, raster, tmp_path):
+def test_days_over_a_threshold_are_counted(run, raster, tmp_path):
     arguments = ["--date", "2024-03-30", "--to", "2024-03-31", "--clock", "Europe/Oslo", "--step", "30m", "--quantity", "days"]
     status, _, error = run("sunhours", str(raster), "-o", str(tmp_path / "d.tif"), *arguments, "--threshold", "7h")
     assert status == 0, error
@@ -58,14 +58,14 @@ def test_days_over_a_threshold_by_a_clock(run, raster, tmp_path):
         (["-o", "hours.png"], "--output: 'hours.png'"),
     ],
 )
-def test_what_is_wrong_is_one_line(run, raster, tmp_path, options, message):
+def test_wrong_options_are_one_line(run, raster, tmp_path, options, message):
     status, _, error = run("sunhours", str(raster), "-o", str(tmp_path / "h.tif"), "--date", "2024-03-21", *options)
     assert status == 2
     assert message in error and len(error.strip().splitlines()) == 1
     assert not (tmp_path / "h.tif").exists()
 
 
-def test_a_flat_world_has_no_dates(run, tmp_path):
+def test_an_engineering_crs_has_no_dates(run, tmp_path):
     flat = write_geotiff(tmp_path / "flat.tif", np.zeros((9, 9), np.float32), ENGINEERING, 0.0, 90.0, 10.0)
     status, _, error = run("sunhours", str(flat), "-o", str(tmp_path / "h.tif"), "--date", "2024-03-21")
     assert status == 2 and "date: '2024-03-21'" in error and "engineering" in error

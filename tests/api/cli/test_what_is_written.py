@@ -1,4 +1,4 @@
-"""What ``shade``, ``sunhours``, ``point`` and ``levels`` say of what they write."""
+"""Tags and messages about the outputs of ``shade``, ``sunhours``, ``point`` and ``levels``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def terminal(monkeypatch) -> None:
 
 
 @pytest.mark.parametrize("layer", ["mask", "visibility", "cosi"])
-def test_a_raster_of_shade_says_its_sun_its_layer_and_its_method(run, raster, tmp_path, layer):
+def test_a_shade_raster_has_tags_of_sun_layer_and_algorithm(run, raster, tmp_path, layer):
     out = tmp_path / "out.tif"
     sun = ("--time", "2024-03-21T09:00:00+01:00")
     assert run("shade", str(raster), *sun, "--layer", layer, "--algorithm", "sweep", "-o", str(out)) == (0, "", "")
@@ -49,7 +49,7 @@ def test_a_raster_of_shade_says_its_sun_its_layer_and_its_method(run, raster, tm
 
 
 @pytest.mark.parametrize("layer", ["color", "shadow"])
-def test_the_bands_of_colours_say_which_they_are(run, raster, tmp_path, layer):
+def test_colour_bands_have_names_and_interpretations(run, raster, tmp_path, layer):
     assert run("shade", str(raster), *SUN, "--layer", layer, "-o", str(tmp_path / "out.tif")) == (0, "", "")
     with rasterio.open(tmp_path / "out.tif") as dataset:
         assert dataset.colorinterp == (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)
@@ -57,7 +57,7 @@ def test_the_bands_of_colours_say_which_they_are(run, raster, tmp_path, layer):
         assert dataset.tags()["SUN_AZIMUTH_DEG"] == "250.0000" and "TIME" not in dataset.tags()
 
 
-def test_each_of_many_rasters_says_its_own_time(run, raster, tmp_path):
+def test_each_of_many_rasters_has_its_own_time(run, raster, tmp_path):
     times = "2024-03-21T08:00:00+01:00,2024-03-21T10:00:00+01:00"
     assert run("shade", str(raster), "--times", times, "-o", str(tmp_path / "m_{time}.tif")) == (0, "", "")
     said = []
@@ -71,7 +71,7 @@ def test_each_of_many_rasters_says_its_own_time(run, raster, tmp_path):
     ("quantity", "unit", "words"),
     [("hours", "h", "direct sun"), ("first", "min", "midnight"), ("longest", "h", "longest"), ("days", "d", "days")],
 )
-def test_a_raster_of_hours_says_dates_clock_and_unit(run, raster, tmp_path, quantity, unit, words):
+def test_a_raster_of_hours_has_dates_clock_and_unit(run, raster, tmp_path, quantity, unit, words):
     out = tmp_path / "hours.tif"
     day = ("--date", "2024-12-20", "--to", "2024-12-22", "--window", "08:00-16:00", "--clock", "+01:00", "--step", "60m")
     assert run("sunhours", str(raster), *day, "--quantity", quantity, "-o", str(out)) == (0, "", "")
@@ -87,13 +87,13 @@ def test_a_raster_of_hours_says_dates_clock_and_unit(run, raster, tmp_path, quan
     assert tags.get("THRESHOLD_H") == ("2" if quantity == "days" else None)
 
 
-def test_a_whole_day_of_solar_time_is_said_as_one(run, raster, tmp_path):
+def test_a_whole_day_of_solar_time_has_the_window_0_to_24(run, raster, tmp_path):
     assert run("sunhours", str(raster), "--date", "2024-12-21", "--step", "60m", "-o", str(tmp_path / "h.tif")) == (0, "", "")
     with rasterio.open(tmp_path / "h.tif") as dataset:
         assert dataset.tags()["WINDOW"] == "00:00-24:00" and dataset.tags()["CLOCK"] == "solar"
 
 
-def test_a_sun_that_nobody_chose_is_said_everywhere(run, raster, tmp_path):
+def test_the_default_light_is_reported_without_a_terminal(run, raster, tmp_path):
     status, out, err = run("shade", str(raster), "-o", str(tmp_path / "mask.tif"))
     assert (status, out, err.count("\n")) == (0, "", 1)
     assert "dem is drawn with its default light, the sun " in err and "--time" in err
@@ -102,7 +102,7 @@ def test_a_sun_that_nobody_chose_is_said_everywhere(run, raster, tmp_path):
     assert run("shade", str(level), "-o", str(tmp_path / "mask.tif")) == (0, "", "")
 
 
-def test_on_a_terminal_it_is_said_what_was_written(run, raster, tmp_path, terminal):
+def test_a_terminal_shows_what_was_written(run, raster, tmp_path, terminal):
     out = tmp_path / "mask.tif"
     status, _, err = run("shade", str(raster), *SUN, "-o", str(out))
     assert status == 0 and err.count("\n") == 1
@@ -111,7 +111,7 @@ def test_on_a_terminal_it_is_said_what_was_written(run, raster, tmp_path, termin
     assert status == 0 and "hours of direct sun, mean of the dates (h), 120 x 90 cells" in err
 
 
-def test_a_date_begins_with_no_sun_that_nobody_asked_for(run, raster):
+def test_a_date_alone_reports_no_sun_position(run, raster):
     place = ("--at", "501500,5199000", "--crs", "EPSG:32633")
     for options in (("--date", "2024-12-21"), ()):
         status, out, _ = run("point", str(raster), *place, *options)
@@ -120,7 +120,7 @@ def test_a_date_begins_with_no_sun_that_nobody_asked_for(run, raster):
     assert status == 0 and "2024-12-21T12:00:00+01:00: " in out and "sun at azimuth" in out
 
 
-def test_names_of_levels_are_never_cut(run, monkeypatch):
+def test_names_of_levels_are_never_truncated(run, monkeypatch):
     monkeypatch.setenv("COLUMNS", "50")
     status, out, _ = run("levels")
     assert status == 0

@@ -1,4 +1,4 @@
-"""A raster that cannot be used is one line that says why and what is needed, whatever the command."""
+"""Unusable rasters: every command prints one line with the reason and the remedy."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_one_line_says_why(run, wrong, command):
+def test_an_unusable_raster_is_one_line(run, wrong, command):
     before = sorted(wrong.iterdir())
     for name, words in WRONG.items():
         status, out, err = run(command, name, *COMMANDS[command])
@@ -67,7 +67,7 @@ def test_one_line_says_why(run, wrong, command):
     assert sorted(wrong.iterdir()) == before
 
 
-def test_all_cells_missing_by_the_value_that_is_stated(run, wrong):
+def test_nodata_that_covers_all_cells_is_refused(run, wrong):
     write_geotiff(wrong / "flat.tif", np.ones((20, 20), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
     assert run("validate", "flat.tif")[0] == 0
     status, _, err = run("validate", "flat.tif", "--nodata", "1")

@@ -1,4 +1,4 @@
-"""Addresses: where redirects lead, what is at none, how long documents are sent, and levels of one file name."""
+"""Addresses: redirects, unknown paths, compressed documents, and level names that collide."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.api.workers import fake_workers
 NO_OPTIONS = dict.fromkeys(("canopy", "buildings", "nodata", "units", "positive"))
 
 
-def test_redirects_lead_to_the_public_address(tmp_path: Path):
+def test_redirects_use_the_public_url(tmp_path: Path):
     settings = Settings(workers=1, public_url="https://maps.example.org/skugga/")
     with running(create_app(settings, [write_level(tmp_path, "hills")], fake_workers.obedient)) as client:
         for path, to in (("/levels/hills/", "/levels/hills"), ("/wms/?REQUEST=GetCapabilities", "/wms?REQUEST=GetCapabilities")):
@@ -34,7 +34,7 @@ def test_redirects_lead_to_the_public_address(tmp_path: Path):
             assert (answer.status_code, answer.headers["Location"]) == (307, f"https://maps.example.org/skugga{to}")
 
 
-def test_redirects_lead_to_where_they_were_asked_without_one(serve_with):
+def test_redirects_use_the_request_host_by_default(serve_with):
     client = serve_with(fake_workers.obedient)
     answer = client.get("/levels/hills/", follow_redirects=False)
     assert answer.headers["Location"] == f"{str(client.base_url).rstrip('/')}/levels/hills"
@@ -44,9 +44,7 @@ def test_redirects_lead_to_where_they_were_asked_without_one(serve_with):
     ("accepted", "is_packed"),
     [("gzip", True), ("br, gzip;q=0.5", True), ("gzip;q=0", False), ("gzip; q=0.0", False), ("br", False), ("", False)],
 )
-def test_long_documents_are_compressed_for_who_takes_that(
-    serve_with, monkeypatch: pytest.MonkeyPatch, accepted: str, is_packed: bool
-):
+def test_long_documents_are_gzipped_if_accepted(serve_with, monkeypatch: pytest.MonkeyPatch, accepted: str, is_packed: bool):
     monkeypatch.setattr(answers, "MIN_GZIP_BYTES", 1000)
     client = serve_with(fake_workers.obedient)
     for path in ("/wms?REQUEST=GetCapabilities", "/wmts/1.0.0/WMTSCapabilities.xml"):
@@ -60,7 +58,7 @@ def test_long_documents_are_compressed_for_who_takes_that(
         assert again.status_code == 304
 
 
-def test_a_browser_at_no_address_is_told_what_is_there(serve_with):
+def test_not_found_page_lists_levels_to_browsers(serve_with):
     client = serve_with(fake_workers.obedient)
     page = client.get("/no<b>thing", headers={"Accept": "text/html,*/*"})
     assert page.status_code == 404 and page.headers["Content-Type"].startswith("text/html")
@@ -69,7 +67,7 @@ def test_a_browser_at_no_address_is_told_what_is_there(serve_with):
     check_problem(client.get("/nothing"), 404, "not_found", None)
 
 
-def test_two_rasters_of_one_file_name_are_served_by_names_of_their_own(tmp_path: Path):
+def test_rasters_of_one_file_name_need_explicit_names(tmp_path: Path):
     first = write_level(tmp_path, "dem").with_suffix(".tif")
     (tmp_path / "other").mkdir()
     second = Path(shutil.copy(first, tmp_path / "other" / "dem.tif"))
@@ -81,18 +79,18 @@ def test_two_rasters_of_one_file_name_are_served_by_names_of_their_own(tmp_path:
 
 
 @pytest.mark.parametrize("text", ["=dem.tif", "a/b=dem.tif", "ü=dem.tif", ".=dem.tif"])
-def test_a_name_is_one_that_addresses_have(text: str):
+def test_level_name_must_be_valid_in_a_url(text: str):
     with pytest.raises(InputError, match="NAME"):
         _named_level_source(text, NO_OPTIONS)
 
 
-def test_a_file_with_a_sign_of_equality_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_file_name_with_equals_sign_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = write_level(tmp_path, "a=b").with_suffix(".tif")
     monkeypatch.chdir(tmp_path)
     assert _named_level_source("a=b.tif", NO_OPTIONS) == LevelSource(path=path.relative_to(tmp_path))
 
 
-def test_a_point_in_a_hole_does_not_blame_the_bounds(tmp_path: Path):
+def test_point_in_a_nodata_hole_does_not_blame_bounds(tmp_path: Path):
     path = write_level(tmp_path, "hills")
     with rasterio.open(path.with_suffix(".tif"), "r+") as raster:
         raster.nodata = -9999.0

@@ -1,4 +1,4 @@
-"""Animations as clients see them: asked for, looked after, fetched and dismissed; what is wrong with one is one clear problem."""
+"""Animations over HTTP: requests, job states, results, dismissal, and problem documents for wrong requests."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from tests.api.workers import fake_workers
 SOON_S = 30.0
 ADDRESS = "/levels/hills/animations"
 ASKED: dict[str, Any] = {"from": "2024-06-21T16:00:00+02:00", "to": "2024-06-21T18:00:00+02:00", "step": "1h", "size": [64, 48]}
-"""Three frames."""
+"""A request for three frames."""
 
 EYE, TARGET = [8.43, 47.5, 300.0], [8.45, 47.51, 0.0]
 UNDER = [{"at": at, "eye": [lon, 47.5, 2.0], "target": TARGET} for at, lon in (("0s", 8.42), ("2h", 8.45))]
-"""From one valley to the next, through the ridge."""
+"""A camera path from one valley to the next, through the ridge."""
 
 KEYS = [{"at": "0s", "eye": EYE, "target": TARGET}, {"at": "2s", "eye": [8.431, 47.501, 400.0], "target": TARGET}]
 
 
 def ended(client: Client, answer: Response) -> dict[str, Any]:
-    """The state in which an animation ended that was asked for."""
+    """Poll an animation until it ends, and return its last state."""
     assert answer.status_code == 202, answer.text
     while True:
         state = client.get(answer.headers["location"]).json()
@@ -49,7 +49,7 @@ def ended(client: Client, answer: Response) -> dict[str, Any]:
 
 
 def pictures_of(film: bytes) -> list[np.ndarray]:
-    """All pictures of an animated WebP, uint8 (rows, cols, 3)."""
+    """Return all frames of an animated WebP, each uint8 (rows, cols, 3)."""
     image = Image.open(io.BytesIO(film))
     found = []
     for number in range(image.n_frames):
@@ -59,7 +59,7 @@ def pictures_of(film: bytes) -> list[np.ndarray]:
 
 
 class Gated:
-    """A service whose one render process waits with each frame until it is let go."""
+    """A service whose one render worker blocks before each frame until the test opens the gate."""
 
     def __init__(self, make: Callable[..., Client], *orders: tuple[int, str], **settings: Any) -> None:
         spawn = get_context("spawn")
@@ -82,11 +82,11 @@ def gated(serve_with) -> Callable[..., Gated]:
 
 @pytest.fixture
 def filming(serve_with) -> Client:
-    """A service that draws frames at once."""
+    """Return a service whose render worker draws frames without delay."""
     return serve_with(fake_workers.filming)
 
 
-def test_an_animation_from_the_question_to_the_film(gated):
+def test_animation_runs_from_request_to_result(gated):
     service = gated()
     client = service.client
     answer = client.post(ADDRESS, json=ASKED)
@@ -119,7 +119,7 @@ def test_an_animation_from_the_question_to_the_film(gated):
     assert "retry-after" not in client.get(address).headers
 
 
-def test_a_film_is_kept_by_its_tag_and_sent_in_parts(filming: Client):
+def test_result_supports_etags_and_byte_ranges(filming: Client):
     state = ended(filming, filming.post(ADDRESS, json=ASKED))
     address = f"/animations/{state['jobID']}/result"
     whole = filming.get(address)
@@ -145,13 +145,13 @@ def test_a_film_is_kept_by_its_tag_and_sent_in_parts(filming: Client):
     assert (head.content, head.headers["content-length"]) == (b"", str(size))
 
 
-def test_ranges_are_read_as_their_standard_has_them():
+def test_byte_range_parses_single_ranges_only():
     assert byte_range("bytes=0-0", 10) == (0, 1)
     assert byte_range("bytes=-20", 10) == (0, 10), "more than there is: all"
     assert byte_range("", 10) is byte_range("bytes=1-x", 10) is byte_range("bytes=0-0", 0) is None
 
 
-def test_the_same_question_is_the_same_animation(gated):
+def test_equal_requests_share_one_animation(gated):
     service = gated()
     client = service.client
     first = client.post(ADDRESS, json=ASKED)
@@ -165,7 +165,7 @@ def test_the_same_question_is_the_same_animation(gated):
     assert kept.json()["status"] == "successful"
 
 
-def test_a_dismissed_animation_is_told_of_and_its_film_is_gone(gated):
+def test_dismissed_animation_has_a_state_but_no_result(gated):
     service = gated()
     client = service.client
     address = client.post(ADDRESS, json=ASKED).headers["location"]
@@ -175,7 +175,7 @@ def test_a_dismissed_animation_is_told_of_and_its_film_is_gone(gated):
     assert dismissed.headers["cache-control"] == "no-store"
     assert client.get(address).json()["status"] == "dismissed"
     check_problem(client.get(f"{address}/result"), 404, "not_found", "animation")
-    service.open(4)  # the frame that was being drawn, and those of the other one
+    service.open(4)  # the frame in progress, and the frames of the second animation
     again = client.post(ADDRESS, json=ASKED)
     assert again.headers["location"] != address
     state = ended(client, again)
@@ -184,7 +184,7 @@ def test_a_dismissed_animation_is_told_of_and_its_film_is_gone(gated):
     check_problem(client.get(f"{again.headers['location']}/result"), 404, "not_found", "animation")
 
 
-def test_what_is_not_there_is_not_found(filming: Client):
+def test_unknown_animation_or_level_is_404(filming: Client):
     for method, path in (("GET", ""), ("GET", "/result"), ("DELETE", "")):
         check_problem(filming.request(method, f"/animations/{'0' * 32}{path}"), 404, "not_found", "animation")
     check_problem(filming.post("/levels/nowhere/animations", json=ASKED), 404, "not_found", "level")
@@ -192,13 +192,13 @@ def test_what_is_not_there_is_not_found(filming: Client):
     assert filming.put("/animations/x").headers["allow"] == "GET, HEAD, DELETE"
 
 
-def test_clients_are_told_to_ask_long_before_it_is_given_up(gated):
+def test_retry_after_is_well_below_the_abandon_timeout(gated):
     client = gated(animation_abandoned_s=60.0).client
     answer = client.post(ADDRESS, json=ASKED | {"step": "1m"})
     assert (answer.json()["seconds_left"], answer.headers["retry-after"]) == (181.5, "20")
 
 
-def test_what_nobody_asks_about_is_not_drawn(gated):
+def test_animation_without_polls_is_dismissed(gated):
     service = gated(animation_abandoned_s=0.3)
     client, animations = service.client, service.client.service.animations
     address = client.post(ADDRESS, json=ASKED).headers["location"]
@@ -214,7 +214,7 @@ def test_what_nobody_asks_about_is_not_drawn(gated):
     assert client.service.pool.queued == 0, "no other frame of it is drawn"
 
 
-def test_films_go_after_their_age(serve_with):
+def test_results_expire_after_their_maximum_age(serve_with):
     client = serve_with(fake_workers.filming, animation_age_s=0.3)
     answer = client.post(ADDRESS, json=ASKED)
     while (state := client.get(answer.headers["location"])).status_code == 200:
@@ -223,7 +223,7 @@ def test_films_go_after_their_age(serve_with):
     assert client.service.animations.cached_bytes == 0
 
 
-def test_more_than_may_wait_are_503_and_told_when_to_come_back(gated):
+def test_full_queue_is_503_with_retry_after(gated):
     service = gated(animations_waiting=1)
     client = service.client
     for fps in (1, 2):
@@ -234,8 +234,8 @@ def test_more_than_may_wait_are_503_and_told_when_to_come_back(gated):
     assert client.post(ADDRESS, json=ASKED | {"fps": 2}).status_code == 202, "it has its place"
 
 
-def test_tiles_go_before_the_next_frame(gated):
-    """A tile that is asked for while a frame is drawn is the next thing that is done."""
+def test_tile_request_precedes_the_next_frame(gated):
+    """The worker draws a tile that is requested during a frame before the next frame."""
     service = gated()
     client = service.client
     address = client.post(ADDRESS, json=ASKED).headers["location"]
@@ -254,7 +254,7 @@ def test_tiles_go_before_the_next_frame(gated):
     service.open(2)
 
 
-def test_a_frame_whose_process_is_killed_is_drawn_again(gated):
+def test_frame_of_a_killed_worker_is_drawn_again(gated):
     service = gated()
     client = service.client
     answer = client.post(ADDRESS, json=ASKED)
@@ -273,7 +273,7 @@ def test_a_frame_whose_process_is_killed_is_drawn_again(gated):
 @pytest.mark.parametrize(
     ("order", "status", "code"), [("crash", 503, "worker_crash"), ("fail", 500, "render"), ("refuse", 422, "invalid_parameter")]
 )
-def test_one_that_fails_says_why(serve_with, order: str, status: int, code: str):
+def test_failed_animation_reports_its_problem(serve_with, order: str, status: int, code: str):
     client = serve_with(functools.partial(fake_workers.filming, orders=((1, order),)))
     answer = client.post(ADDRESS, json=ASKED)
     state = ended(client, answer)
@@ -285,7 +285,7 @@ def test_one_that_fails_says_why(serve_with, order: str, status: int, code: str)
     assert client.post(ADDRESS, json=ASKED).headers["location"] != answer.headers["location"], "it is tried again"
 
 
-def test_a_frame_that_takes_too_long_ends_it(serve_with):
+def test_frame_timeout_fails_the_animation(serve_with):
     gate = get_context("spawn").Semaphore(0)
     client = serve_with(functools.partial(fake_workers.filming, go=gate), render_timeout_s=0.5)
     state = ended(client, client.post(ADDRESS, json=ASKED))
@@ -293,7 +293,7 @@ def test_a_frame_that_takes_too_long_ends_it(serve_with):
     gate.release()
 
 
-def test_a_level_that_changes_ends_it(folder: Path):
+def test_level_change_fails_the_animation(folder: Path):
     level = write_level(folder, "changing")
     spawn = get_context("spawn")
     begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
@@ -312,8 +312,8 @@ def test_a_level_that_changes_ends_it(folder: Path):
         assert ended(client, other)["status"] == "successful"
 
 
-def test_a_service_that_stops_leaves_nothing(hills_level: Path):
-    """Neither files nor threads, with one that is drawn, one that waits and one that is done."""
+def test_shutdown_dismisses_all_animations(hills_level: Path):
+    """Shutdown dismisses one running and one waiting animation, and drops the cached result of a finished one."""
     spawn = get_context("spawn")
     begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
     target = functools.partial(fake_workers.filming, begun=begun, go=go)
@@ -325,7 +325,7 @@ def test_a_service_that_stops_leaves_nothing(hills_level: Path):
             assert begun.acquire(timeout=SOON_S)
         with ThreadPoolExecutor(2) as threads:
             asked = [threads.submit(client.post, ADDRESS, json=ASKED | {"fps": fps}) for fps in (1, 2)]
-            for _ in range(2):  # whichever film is looked at first may have its first frame drawn before the other one is
+            for _ in range(2):  # one animation may get its first frame before the other one starts
                 go.release()
             addresses = [each.result().headers["location"] for each in asked]
         animations = client.service.animations
@@ -375,14 +375,14 @@ def test_a_service_that_stops_leaves_nothing(hills_level: Path):
         ({"file": "dem.tif"}, "file", "from, to, step"),
     ],
 )
-def test_what_is_wrong_is_named_before_anything_is_drawn(filming: Client, asked: dict[str, Any], parameter: str, said: str):
+def test_invalid_request_is_refused_before_drawing(filming: Client, asked: dict[str, Any], parameter: str, said: str):
     answer = filming.post(ADDRESS, json={key: value for key, value in (ASKED | asked).items() if value is not None})
     problem = check_problem(answer, 422, "invalid_parameter", parameter)
     assert said in problem["detail"]
     assert not any(filming.service.animations.counts.values())
 
 
-def test_a_body_that_is_none(filming: Client):
+def test_missing_or_broken_body_is_refused(filming: Client):
     check_problem(
         filming.post(ADDRESS, content="{", headers={"Content-Type": "application/json"}), 422, "invalid_parameter", "body"
     )
@@ -390,13 +390,13 @@ def test_a_body_that_is_none(filming: Client):
     check_problem(filming.post(f"{ADDRESS}?step=1h", json=ASKED), 422, "invalid_parameter", "step")
 
 
-def test_mp4_is_refused_where_there_is_no_encoder_of_it(filming: Client, monkeypatch: pytest.MonkeyPatch):
+def test_mp4_without_an_encoder_is_refused(filming: Client, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("skugga.api.http.views.animation_request.find_spec", lambda name: None)
     problem = check_problem(filming.post(ADDRESS, json=ASKED | {"format": "mp4"}), 422, "invalid_parameter", "format")
     assert "no encoder of mp4" in problem["detail"]
 
 
-def test_an_mp4(filming: Client):
+def test_mp4_result_has_all_frames(filming: Client):
     av = pytest.importorskip("av")
     state = ended(filming, filming.post(ADDRESS, json=ASKED | {"format": "mp4", "fps": 5}))
     film = filming.get(f"/animations/{state['jobID']}/result")
@@ -405,12 +405,12 @@ def test_an_mp4(filming: Client):
         assert sum(1 for _ in container.decode(video=0)) == 3
 
 
-def test_none_where_the_settings_allow_none(serve_with):
+def test_zero_max_frames_refuses_every_animation(serve_with):
     client = serve_with(fake_workers.filming, max_animation_frames=0)
     check_problem(client.post(ADDRESS, json=ASKED), 422, "invalid_parameter", "step")
 
 
-def test_a_token_is_asked_for(serve_with):
+def test_api_token_protects_animations(serve_with):
     client = serve_with(fake_workers.filming, api_token="a secret token")
     check_problem(client.post(ADDRESS, json=ASKED), 401, "unauthorized", None)
     client.headers["Authorization"] = "Bearer a secret token"
@@ -421,7 +421,7 @@ def test_a_token_is_asked_for(serve_with):
     check_problem(client.delete(f"/animations/{state['jobID']}"), 401, "unauthorized", None)
 
 
-def test_pages_of_other_origins_read_where_it_is_and_may_dismiss_it(filming: Client):
+def test_cors_exposes_location_and_allows_delete(filming: Client):
     page = {"Origin": "https://map.example"}
     answer = filming.post(ADDRESS, json=ASKED, headers=page)
     exposed = answer.headers["access-control-expose-headers"]
@@ -430,7 +430,7 @@ def test_pages_of_other_origins_read_where_it_is_and_may_dismiss_it(filming: Cli
     assert asked.status_code == 200 and "DELETE" in asked.headers["access-control-allow-methods"]
 
 
-def test_metrics_count_them(filming: Client):
+def test_metrics_count_animations(filming: Client):
     ended(filming, filming.post(ADDRESS, json=ASKED))
     text = filming.get("/metrics").text
     assert 'skugga_animations{status="successful"} 1.0' in text
@@ -441,7 +441,7 @@ def test_metrics_count_them(filming: Client):
 
 @pytest.fixture(scope="module")
 def with_view(folder: Path) -> Iterator[tuple[Client, Path]]:
-    """A real service, and the level that it serves, which has a perspective view."""
+    """Yield a client of a real service and its level, which has a perspective view."""
     view = {"kind": "perspective", "eye": EYE, "target": TARGET, "size": [96, 64]}
     level = write_level(folder, "viewed_film", views={"eye": view, "map": {"kind": "map"}})
     with running(create_app(Settings(workers=1), [level, write_level(folder, "site_film", ENGINEERING)])) as client:
@@ -458,10 +458,10 @@ def with_view(folder: Path) -> Iterator[tuple[Client, Path]]:
     ],
     ids=["view", "map", "path", "path under a sun that rests"],
 )  # fmt: skip
-def test_a_film_is_that_of_the_command_line_and_its_frames_are_stills(
+def test_animation_equals_command_line_and_snapshots(
     with_view, tmp_path: Path, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ):
-    """To the bit: neither loses anything."""
+    """Their pixels are equal bit for bit, because every encoding is lossless."""
     client, level = with_view
     body = {key: value for key, value in (ASKED | asked).items() if value is not None}
     state = ended(client, client.post("/levels/viewed_film/animations", json=body))
@@ -515,7 +515,7 @@ def test_a_film_is_that_of_the_command_line_and_its_frames_are_stills(
         ("viewed_film", {"view": "eye", "algorithm": "planar"}, 422, None, ""),
     ],
 )
-def test_what_the_ground_says_is_said_at_once(with_view, level: str, asked: dict[str, Any], status: int, parameter: str, said: str):
+def test_scene_errors_are_reported_on_post(with_view, level: str, asked: dict[str, Any], status: int, parameter: str, said: str):
     client, _ = with_view
     answer = client.post(f"/levels/{level}/animations", json=ASKED | asked)
     assert answer.status_code == status, answer.text

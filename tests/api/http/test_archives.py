@@ -1,4 +1,4 @@
-"""Archives of tiles: served by themselves, and in place of drawing a level's tiles."""
+"""PMTiles archives: served by themselves, and in place of rendering a level's tiles."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ TILES = "/levels/hills/tiles/WebMercatorQuad"
 TIME = "2024-06-21T16:00:00+00:00"
 
 READY_S = 600
-"""A render process compiles at its first start."""
+"""A render worker compiles at its first start."""
 
 
 def tile_of(number: int) -> bytes:
-    """A content that no other number has."""
+    """Return the content of a tile, which differs for each number."""
     return MAGIC["png"] + number.to_bytes(8, "big") + bytes(40)
 
 
 def replaced(path: Path, content: bytes) -> None:
-    """Give a file another content as programs do that never leave half of one."""
+    """Replace a file's content atomically."""
     part = path.with_suffix(".part")
     part.write_bytes(content)
     os.replace(part, path)
@@ -52,7 +52,7 @@ def replaced(path: Path, content: bytes) -> None:
 
 @pytest.fixture
 def serve(tmp_path: Path) -> Callable[..., object]:
-    """``serve(keys, archives, **settings)`` is a service of ``hills`` with keys, whose one render process draws nothing."""
+    """Return ``serve(keys, archives, **settings)``, which starts a service of ``hills`` with keys and a fake render worker."""
 
     def make(keys: dict | None, archives: list[Path] = [], **settings) -> object:  # noqa: B006
         levels = [] if keys is None else [write_level(tmp_path, "hills", **keys)]
@@ -63,12 +63,12 @@ def serve(tmp_path: Path) -> Callable[..., object]:
 
 
 def drawn(client: Client) -> int:
-    """How many blocks render processes have drawn."""
+    """Return how many blocks the render workers have drawn."""
     return client.service.pool.counters.answered
 
 
-def test_a_level_s_archived_tile_is_the_rendered_one(client: Client, serve, tmp_path: Path):
-    """Rendered by one service, written, and served by another one that draws nothing: the same bytes under each canonical query."""
+def test_archived_tile_equals_the_rendered_tile(client: Client, serve, tmp_path: Path):
+    """One service renders the tiles; another, which renders nothing, sends equal bytes for each canonical query."""
     end = time.monotonic() + READY_S
     while client.get("/readyz").status_code != 200:  # this may be the first test of a run
         assert time.monotonic() < end, "no render process is ready"
@@ -88,7 +88,7 @@ def test_a_level_s_archived_tile_is_the_rendered_one(client: Client, serve, tmp_
                 answer = served.get(f"{TILES}/{z}/{x}/{y}.png", params=query)
                 assert (answer.status_code, answer.content) == (200, body) and body.startswith(MAGIC["png"])
                 assert answer.headers["content-type"] == "image/png" and "archive" in answer.headers["server-timing"]
-        # The same instant in another spelling; heights hang on no sun.
+        # The same instant in another spelling; heights do not depend on the sun.
         other = served.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={"time": "2024-06-21T18:00:00+02:00"})
         assert other.content == rendered["b"][ZOOM, X, Y] and other.headers["x-skugga-time"] == "2024-06-21T18:00:00+02:00"
         high = served.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={"layer": "terrarium", "time": TIME})
@@ -96,7 +96,7 @@ def test_a_level_s_archived_tile_is_the_rendered_one(client: Client, serve, tmp_
         assert drawn(served) == 0
 
 
-def test_what_the_archive_does_not_say_is_drawn(serve, tmp_path: Path):
+def test_requests_outside_the_archive_are_rendered(serve, tmp_path: Path):
     write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): PNG}, layer="shadow")
     with serve({"archive": "a.pmtiles"}) as client:
         assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=shadow").content == PNG
@@ -117,20 +117,20 @@ def test_what_the_archive_does_not_say_is_drawn(serve, tmp_path: Path):
             assert drawn(client) == count, address
 
 
-def test_another_matrix_set_is_drawn(serve, tmp_path: Path):
+def test_other_matrix_set_is_rendered(serve, tmp_path: Path):
     write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): PNG}, tms="WorldCRS84Quad")
     with serve({"archive": "a.pmtiles"}) as client:
         assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content != PNG
 
 
-def test_the_first_of_two_archives_counts(serve, tmp_path: Path):
+def test_first_of_two_archives_wins(serve, tmp_path: Path):
     write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1)})
     write_tiles(tmp_path / "b.pmtiles", {(ZOOM, X, Y): tile_of(2)})
     with serve({"archive": ["b.pmtiles", "a.pmtiles"]}) as client:
         assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content == tile_of(2)
 
 
-def test_a_client_that_has_the_tile_is_told_so(serve, tmp_path: Path):
+def test_archived_tile_has_cache_headers_and_304(serve, tmp_path: Path):
     write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1), (ZOOM, X, Y - 1): tile_of(2)})
     with serve({"archive": "a.pmtiles"}) as client:
         answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", headers={"Origin": "https://map.example"})
@@ -144,7 +144,7 @@ def test_a_client_that_has_the_tile_is_told_so(serve, tmp_path: Path):
 
 
 @pytest.mark.parametrize(("setting", "status"), [("transparent", 200), ("204", 204), ("404", 404)])
-def test_a_tile_that_the_archive_lacks_is_empty(serve, tmp_path: Path, setting: str, status: int):
+def test_missing_archived_tile_is_empty(serve, tmp_path: Path, setting: str, status: int):
     path = write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1)})
     with serve({"archive": "a.pmtiles"}, empty_tile=setting) as client:
         answer = client.get(f"{TILES}/{ZOOM}/{X - 1}/{Y}.png")
@@ -157,12 +157,12 @@ def test_a_tile_that_the_archive_lacks_is_empty(serve, tmp_path: Path, setting: 
         write_tiles(path, {(ZOOM, X, Y): tile_of(1), (ZOOM, X - 1, Y): tile_of(2)})
         filled = client.get(f"{TILES}/{ZOOM}/{X - 1}/{Y}.png", headers={"If-None-Match": answer.headers["etag"]})
         assert (filled.status_code, filled.content) == (200, tile_of(2))
-        path.unlink()  # and drawn, it has a tag of its own
+        path.unlink()  # the rendered tile has another ETag
         assert client.get(f"{TILES}/{ZOOM}/{X - 1}/{Y}.png").headers["etag"] not in (answer.headers["etag"], filled.headers["etag"])
 
 
-def test_a_replaced_archive_is_gone_over_to(serve, tmp_path: Path, capfd):
-    """Also where tiles that were drawn are kept: an address that was drawn before is answered by the archive then, and back."""
+def test_replaced_archive_is_reopened(serve, tmp_path: Path, capfd):
+    """Cached rendered tiles do not hide it: the address switches to the archive's tile and back."""
     path = write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1)}, layer="shadow")
     address = f"{TILES}/{ZOOM}/{X}/{Y}.png"
     with serve({"archive": "a.pmtiles"}, tile_cache_bytes=2**20, level_check_s=0.05) as client:
@@ -196,13 +196,13 @@ def test_a_replaced_archive_is_gone_over_to(serve, tmp_path: Path, capfd):
     assert said.count("a.pmtiles: No such file") == 1 and "Its tiles are rendered." in said and "was reopened" in said
 
 
-def test_tiles_of_the_same_bytes_keep_answers_of_their_own(serve, tmp_path: Path):
-    """Kept and sent again before anything is looked at: each with the time that it was asked for, and how long it is fresh."""
+def test_equal_archived_tiles_keep_their_own_headers(serve, tmp_path: Path):
+    """The tile cache sends each answer with its own requested time and maximum age."""
     for name, query in (("a", ""), ("b", "time=2024-06-21T16%3A00%3A00%2B00%3A00")):
         write_tiles(tmp_path / f"{name}.pmtiles", {(ZOOM, X, Y): tile_of(1)}, query=query)
     moments = [None, "2024-06-21T18:00:00+02:00", "2024-06-21T16:00:00+00:00"]
     with serve({"archive": ["a.pmtiles", "b.pmtiles"]}, tile_cache_bytes=2**20, level_check_s=60.0) as client:
-        while not client.service.pool.ready:  # what is sent hangs on the renderer, too
+        while not client.service.pool.ready:  # answers depend on the renderer, too
             client.get("/readyz")
         for again in range(2):
             before = client.service.tiles.hits
@@ -214,7 +214,7 @@ def test_tiles_of_the_same_bytes_keep_answers_of_their_own(serve, tmp_path: Path
         assert drawn(client) == 0
 
 
-def test_a_leaf_that_breaks_later_is_told_of_and_drawn(serve, tmp_path: Path, monkeypatch, capfd):
+def test_archive_cut_after_opening_is_logged_and_rendered(serve, tmp_path: Path, monkeypatch, capfd):
     path = write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1)})
     with serve({"archive": "a.pmtiles"}, level_check_s=60.0) as client:
         assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content == tile_of(1)
@@ -224,7 +224,7 @@ def test_a_leaf_that_breaks_later_is_told_of_and_drawn(serve, tmp_path: Path, mo
     assert "a.pmtiles: cut short since it was opened" in capfd.readouterr().err
 
 
-def test_naming_an_archive_changes_no_level(tmp_path: Path):
+def test_archive_does_not_change_the_level_digest(tmp_path: Path):
     without = load_level(write_level(tmp_path, "hills"))
     named = load_level(write_level(tmp_path, "hills", archive="sub/a.pmtiles"))
     assert without.digest == named.digest != load_level(write_level(tmp_path, "hills", seconds=1)).digest
@@ -235,7 +235,7 @@ def test_naming_an_archive_changes_no_level(tmp_path: Path):
             load_level(write_level(tmp_path, "hills", archive=wrong))
 
 
-def test_an_archive_lies_in_the_folders_of_data(tmp_path: Path, serve):
+def test_archive_must_lie_in_the_data_roots(tmp_path: Path, serve):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (tmp_path / "levels").mkdir()
@@ -246,10 +246,10 @@ def test_an_archive_lies_in_the_folders_of_data(tmp_path: Path, serve):
     create_app(Settings(data_roots=(elsewhere,)), [level])
 
 
-# Archives by themselves.
+# Archives without levels.
 
 
-def test_archives_alone_need_no_render_process(serve, tmp_path: Path):
+def test_archives_alone_need_no_render_worker(serve, tmp_path: Path):
     tiles = {(z, x, y): tile_of(100 * z + 10 * x + y) for z in (2, 3) for x in range(3) for y in range(3)}
     path = write_tiles(tmp_path / "sun & shade.pmtiles", tiles, layer="terrarium")
     with serve(None, [path]) as client:
@@ -286,26 +286,26 @@ def test_archives_alone_need_no_render_process(serve, tmp_path: Path):
         ("a/2/4/0.png", "x"), ("a/2/0/4.png", "x"), ("a/2/0/0.webp", "format"), ("a/2/0/0.gif", "format"),
     ],
 )  # fmt: skip
-def test_what_is_outside_is_a_problem_document(serve, tmp_path: Path, address: str, parameter: str):
+def test_unknown_archived_tile_is_a_problem_document(serve, tmp_path: Path, address: str, parameter: str):
     with serve(None, [write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG})]) as client:
         check_problem(client.get(f"/archives/{address}"), 404, "not_found", parameter)
         check_problem(client.get("/archives/a/2/0/0.png?layer=color"), 422, "invalid_parameter", "layer")
         assert client.get("/archives/a/2/0/0.png").status_code == 200
 
 
-def test_a_lacking_tile_is_404_where_the_setting_is(serve, tmp_path: Path):
+def test_missing_tile_is_404_if_configured(serve, tmp_path: Path):
     with serve(None, [write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG})], empty_tile="404") as client:
         check_problem(client.get("/archives/a/2/1/1.png"), 404, "not_found", "x")
 
 
-def test_levels_and_archives_of_one_service(serve, tmp_path: Path):
+def test_service_serves_levels_and_archives(serve, tmp_path: Path):
     path = write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): PNG})
     with serve({}, [path]) as client:
         assert [level["name"] for level in client.get("/levels").json()] == ["hills"]
         assert client.get(f"/archives/a/{ZOOM}/{X}/{Y}.png").content == PNG != client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content
 
 
-def test_an_archive_that_is_replaced_or_broken_while_it_is_served(serve, tmp_path: Path, capfd):
+def test_archive_replaced_or_broken_while_served_is_noticed(serve, tmp_path: Path, capfd):
     path = write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): tile_of(1)})
     with serve(None, [path]) as client:
         first = client.get("/archives/a/2/0/0.png")
@@ -322,25 +322,25 @@ def test_an_archive_that_is_replaced_or_broken_while_it_is_served(serve, tmp_pat
     assert "a.pmtiles: cut short: its tiles end at byte" in capfd.readouterr().err
 
 
-def test_two_archives_of_one_name(tmp_path: Path):
+def test_archives_of_one_name_are_refused(tmp_path: Path):
     (tmp_path / "b").mkdir()
     paths = [write_tiles(folder / "a.pmtiles", {(2, 0, 0): PNG}) for folder in (tmp_path, tmp_path / "b")]
     with pytest.raises(InputError, match="both an archive"):
         create_app(Settings(), [], archives=paths)
 
 
-# Reading.
+# Reading archive files.
 
 
 def many(path: Path, last_zoom: int = 7) -> dict[tuple[int, int, int], bytes]:
-    """Tiles of all zooms but for some gaps, in runs and by themselves, and an archive of them."""
+    """Write an archive of all zooms with gaps and runs, and return its tiles."""
     numbers = [number for number in range(first_tile_id(last_zoom + 1)) if number % 7 and number % 1000 > 5]
     tiles = {place_of(number): tile_of(number // 3) for number in numbers}
     write_tiles(path, tiles)
     return tiles
 
 
-def test_every_tile_is_found_through_leaves(tmp_path: Path):
+def test_leaf_directories_lead_to_every_tile(tmp_path: Path):
     tiles = many(tmp_path / "a.pmtiles", 8)
     archive = ArchiveFile(tmp_path / "a.pmtiles")
     assert archive.header["leaf_directory_length"] > 0
@@ -351,8 +351,8 @@ def test_every_tile_is_found_through_leaves(tmp_path: Path):
     assert archive.first_tile in tiles
 
 
-def test_an_archive_that_others_wrote(tmp_path: Path):
-    """By the package's own writer, with no word of ours, and plain directories."""
+def test_archive_of_another_writer_is_read(tmp_path: Path):
+    """The ``pmtiles`` package writes it, with plain directories and without our metadata."""
     path = tmp_path / "a.pmtiles"
     with path.open("wb") as file:
         writer = Writer(file)
@@ -366,7 +366,7 @@ def test_an_archive_that_others_wrote(tmp_path: Path):
     assert archive.tile(*tileid_to_zxy(5001)) is None
 
 
-def test_plain_directories(tmp_path: Path):
+def test_uncompressed_directories_are_read(tmp_path: Path):
     tiles = {(2, x, x): tile_of(x) for x in range(4)}
     content = write_tiles(tmp_path / "a.pmtiles", tiles).read_bytes()
     at, length = struct.unpack_from("<QQ", content, 8)
@@ -381,7 +381,7 @@ def test_plain_directories(tmp_path: Path):
     assert {place: archive.tile(*place) for place in tiles} == tiles
 
 
-def test_a_leaf_that_is_broken_is_told_of_at_the_start_or_when_it_is_read(tmp_path: Path, monkeypatch):
+def test_broken_leaf_directory_raises_archive_error(tmp_path: Path, monkeypatch):
     path = tmp_path / "a.pmtiles"
     tiles = many(path, 8)
     content = path.read_bytes()
@@ -396,7 +396,7 @@ def test_a_leaf_that_is_broken_is_told_of_at_the_start_or_when_it_is_read(tmp_pa
         archive.tile(*max(tiles))
 
 
-def test_files_are_closed(tmp_path: Path):
+def test_archive_files_are_closed(tmp_path: Path):
     write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG})
     before = len(os.listdir("/proc/self/fd")) if sys.platform == "linux" else 0
     for _ in range(20):
@@ -412,5 +412,5 @@ def test_files_are_closed(tmp_path: Path):
         ("time=2024-06-21T16%3A00%3A00Z", "time=2024-06-21T16%3A00%3A00%2B00%3A00"),
     ],
 )  # fmt: skip
-def test_one_instant_has_one_spelling(query: str, expected: str):
+def test_with_utc_time_normalizes_instants(query: str, expected: str):
     assert with_utc_time(query) == expected

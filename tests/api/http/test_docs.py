@@ -1,4 +1,4 @@
-"""The interface on ``/docs``, and where its parts come from."""
+"""The interactive documentation on ``/docs``, which loads nothing from other hosts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.api.http.test_level_page import Links
 from tests.api.workers import fake_workers
 
 
-def test_the_page_and_all_its_parts_come_from_the_service(serve_with):
+def test_docs_load_all_parts_from_the_service(serve_with):
     client: Client = serve_with(fake_workers.obedient)
     page = client.get("/docs")
     assert page.status_code == 200 and page.headers["content-type"].startswith("text/html")
@@ -29,11 +29,11 @@ def test_the_page_and_all_its_parts_come_from_the_service(serve_with):
 
 
 @pytest.mark.parametrize("address", ["/docs", "/docs/start.js"])
-def test_it_names_no_other_host(serve_with, address: str):
+def test_docs_name_no_other_host(serve_with, address: str):
     assert not re.search(r"https?:|//[a-z]", serve_with(fake_workers.obedient).get(address).text)
 
 
-def test_its_policy_is_that_of_all_pages(serve_with):
+def test_docs_share_the_content_security_policy(serve_with):
     client: Client = serve_with(fake_workers.obedient)
     policy = client.get("/docs").headers["content-security-policy"]
     assert policy == client.get("/levels/hills.html").headers["content-security-policy"]

@@ -1,5 +1,6 @@
-"""GDAL's own drivers of map services before a running service, in processes of their own: this one's GDAL may be forbidden to read
-from others, by what other tests ran in it.
+"""GDAL's WMS and WMTS drivers read a running service.
+
+Each read runs in a process of its own, because other tests may have forbidden remote reads in this process.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ TILES = f"/levels/timed/tiles/{DEFAULT_MATRIX_SET}"
 BOUNDS = MATRIX_SET.xy_bounds(*CORNER, ZOOM)
 TIME = "2024-12-21T13:00:00Z"
 SIDE = 1024
-"""Pixels of a block of the driver of WMS."""
+"""Block side of GDAL's WMS driver, pixels."""
 
 READ = """
 import json, sys
@@ -49,7 +50,7 @@ with rasterio.Env() as environment:
 
 @dataclass(frozen=True)
 class Read:
-    """What GDAL has read: pixels (rows, cols, bands), and the data set's CRS, bounds and cell; or what it has in it."""
+    """What GDAL reads: pixels (rows, cols, bands), CRS, bounds and cell size of the data set, or its subdatasets."""
 
     pixels: np.ndarray | None
     crs: int | None
@@ -59,7 +60,7 @@ class Read:
 
 
 def read(folder: Path, driver: str, source: str, bounds: tuple[float, ...] | None = None, side: int | None = None) -> Read:
-    """A data set, or the part within bounds in its CRS; with a ``side`` in so many pixels."""
+    """Read a data set, or its part within ``bounds`` in its CRS; where ``side`` is given, as ``side`` x ``side`` pixels."""
     path = folder / "read.npy"
     environment = {name: value for name, value in os.environ.items() if name not in NO_REMOTE_READS}
     done = subprocess.run(
@@ -86,8 +87,8 @@ def wmts(client: Client, layer: str, query: str = "") -> str:
 
 
 @pytest.mark.parametrize("layer", ["color", "shadow", "terrarium"])
-def test_wmts(client: Client, tmp_path, layer):
-    """The data set has the level's extent and its finest zoom; a tile of that is what GDAL reads, to the bit."""
+def test_wmts_driver_reads_served_tiles(client: Client, tmp_path, layer):
+    """The data set has the level's extent and finest zoom; GDAL's pixels equal the served tile bit for bit."""
     zoom = client.get("/levels/timed").json()["tile_matrix_sets"][DEFAULT_MATRIX_SET]["maxzoom"]
     x, y = (index * 2 ** (zoom - ZOOM) for index in CORNER)
     seen = read(tmp_path, "WMTS", wmts(client, layer), tuple(MATRIX_SET.xy_bounds(x, y, zoom)))
@@ -97,8 +98,8 @@ def test_wmts(client: Client, tmp_path, layer):
     assert np.array_equal(seen.pixels, picture(client, f"{TILES}/{zoom}/{x}/{y}.png", layer=layer))
 
 
-def test_wmts_of_another_time(client: Client, tmp_path):
-    """By the document whose default that is: the driver knows no other."""
+def test_wmts_driver_reads_another_time(client: Client, tmp_path):
+    """The driver reads a document's default time only, so the capabilities are requested with another default."""
     bounds = (BOUNDS.left, BOUNDS.bottom + 1000, BOUNDS.right - 4000, BOUNDS.top)
     source = f"{wmts(client, 'mask', f'?time={TIME}')},zoom_level={ZOOM}"
     seen = read(tmp_path, "WMTS", source, bounds)
@@ -111,8 +112,8 @@ def test_wmts_of_another_time(client: Client, tmp_path):
 
 
 @pytest.mark.parametrize("layer", ["color", "shadow", "mask", "sunhours"])
-def test_wms(client: Client, tmp_path, layer):
-    """A layer of the capabilities, with a time, in PNG: it is the map of the same extent and size, to the bit."""
+def test_wms_driver_reads_served_maps(client: Client, tmp_path, layer):
+    """A layer of the capabilities, read as PNG at a time, equals the map of the same extent and size bit for bit."""
     time = TIME[:10] if layer == "sunhours" else TIME
     listed = read(tmp_path, "WMS", f"WMS:{client.base_url}/levels/timed/wms?FORMAT=image/png&TRANSPARENT=TRUE").subdatasets
     assert [each.partition("LAYERS=")[2].partition("&")[0] for each in listed] == [
@@ -129,8 +130,8 @@ def test_wms(client: Client, tmp_path, layer):
     assert valid.sum() > 100_000 and np.array_equal(seen.pixels[valid], expected[valid])
 
 
-def test_wms_in_latitude_and_longitude(client: Client, tmp_path):
-    """In a CRS whose latitude comes first, as the driver is told."""
+def test_wms_driver_reads_a_latitude_first_crs(client: Client, tmp_path):
+    """EPSG:4326 has latitude first; the driver's BBoxOrder says so."""
     west, south, east, north = MATRIX_SET.bounds(*CORNER, ZOOM)
     description = (
         f'<GDAL_WMS><Service name="WMS"><Version>1.3.0</Version><ServerUrl>{client.base_url}/wms?</ServerUrl><CRS>EPSG:4326</CRS>'

@@ -1,4 +1,4 @@
-"""A service without a calibration: it serves by rules, calibrates its device while it is idle, and goes by that from then on."""
+"""An uncalibrated service plans by rules, calibrates its device while it is idle, and then plans by predictions."""
 
 import functools
 import time
@@ -28,7 +28,7 @@ Serve = Callable[..., Client]
 
 
 def soon_idle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    """Services have an empty cache, are soon idle, and what they say is heard from the start."""
+    """Give services an empty cache and a short idle delay, and capture their log from the start."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
     monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
@@ -38,7 +38,7 @@ def soon_idle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.Lo
 
 @pytest.fixture
 def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
-    """``serve(measure, **settings)`` is a client of a service, soon idle, with an empty cache."""
+    """Yield ``serve(measure, **settings)``, which returns a client of a service with an empty cache and a short idle delay."""
     soon_idle(tmp_path, monkeypatch, caplog)
     monkeypatch.setattr(idle_calibration, "CHECK_EVERY_S", 0.02)
     with ExitStack() as stack:
@@ -71,7 +71,7 @@ def said(caplog: pytest.LogCaptureFixture, words: str) -> int:
     return sum(words in record.getMessage() for record in caplog.records)
 
 
-def test_rules_first_then_predictions(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+def test_calibration_replaces_rules_by_predictions(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"))
     by_rules = client.get(TILE)
     assert (by_rules.status_code, by_rules.content, policy(client)) == (200, b"", "rules")
@@ -97,7 +97,7 @@ def test_rules_first_then_predictions(serve: Serve, tmp_path: Path, caplog: pyte
     assert said(caplog, "was loaded") == 0, "its own file is no news"
 
 
-def test_a_kept_calibration_is_used_from_the_start(serve: Serve, tmp_path: Path):
+def test_saved_calibration_is_used_from_the_start(serve: Serve, tmp_path: Path):
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"), target=fake_workers.planning)
     save_profile(fake_calibrations.profile())
     until(lambda: state(client) == "calibrated")
@@ -107,7 +107,7 @@ def test_a_kept_calibration_is_used_from_the_start(serve: Serve, tmp_path: Path)
     assert not (tmp_path / "failed").exists()
 
 
-def test_what_is_calibrated_by_hand_is_taken_up(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+def test_calibration_saved_by_a_command_is_loaded(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     pool = client.service.pool
     until(lambda: (tmp_path / "begun").exists() and pool.idle.pid is not None)
@@ -118,15 +118,15 @@ def test_what_is_calibrated_by_hand_is_taken_up(serve: Serve, tmp_path: Path, ca
         until(lambda: pool.plan_version(None) not in ("", *versions))
         versions.append(pool.plan_version(None))
         assert client.get(TILE).text == versions[-1] and policy(client) == "predict"
-    until(lambda: not alive(pid))  # what was measured meanwhile is not wanted any more
+    until(lambda: not alive(pid))  # the saved profile makes the running measurement useless
     assert said(caplog, "was loaded") == 2
     profile_path(fake_workers.RENDERER, fake_workers.VERSION).unlink()
     time.sleep(0.1)
     assert pool.plan_version(None) == versions[-1]
 
 
-def test_a_folder_that_cannot_be_written(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    (tmp_path / "cache").write_text("in the way")  # where nothing can be made, whoever runs this
+def test_unwritable_cache_folder_warns_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    (tmp_path / "cache").write_text("in the way")  # no folder can be made in place of a file, not even by root
     (tmp_path / "go").touch()
     client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"), recycle_blocks=1)
     until(lambda: said(caplog, "cannot be written") == 1)
@@ -146,25 +146,25 @@ def test_a_folder_that_cannot_be_written(serve: Serve, tmp_path: Path, caplog: p
              "of another device"],
     strict=True,
 )))  # fmt: skip
-def test_a_failure_is_told_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture, measure, reason: str):
+def test_failed_calibration_is_logged_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture, measure, reason: str):
     client = serve(functools.partial(measure, tmp_path / "begun"))
     until(lambda: state(client) == "failed")
     client.get(TILE)
-    time.sleep(0.5)  # several times as long as it waits for idleness
+    time.sleep(0.5)  # several times the idle delay
     assert (tmp_path / "begun").read_text().count("\n") == 1
     (warning,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert "could not be calibrated" in warning and reason in warning
     assert policy(client) == "rules" and client.get(OTHER_TILE).headers["cache-control"].startswith("public, max-age=3600,")
 
 
-def test_one_that_takes_too_long_is_given_up(serve: Serve, tmp_path: Path, monkeypatch, caplog: pytest.LogCaptureFixture):
+def test_calibration_timeout_fails(serve: Serve, tmp_path: Path, monkeypatch, caplog: pytest.LogCaptureFixture):
     monkeypatch.setattr(idle_work, "JOB_TIMEOUT_S", 0.2)
     client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
     until(lambda: state(client) == "failed")
     assert said(caplog, "it took longer than 0.2 s") == 1 and client.service.pool.idle.pid is None
 
 
-def test_the_setting_switches_it_off(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+def test_setting_disables_calibration(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), calibrate_when_idle=False)
     assert state(client) == "off" and said(caplog, "SKUGGA_CALIBRATE_WHEN_IDLE is false") == 1
     assert client.get(TILE).headers["cache-control"].startswith("public, max-age=3600,")
@@ -172,14 +172,14 @@ def test_the_setting_switches_it_off(serve: Serve, tmp_path: Path, caplog: pytes
     assert not (tmp_path / "begun").exists()
 
 
-def test_nothing_is_calibrated_where_there_is_no_device(serve: Serve, tmp_path: Path):
+def test_worker_without_a_device_is_not_calibrated(serve: Serve, tmp_path: Path):
     client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), target=fake_workers.obedient)
     assert state(client) == "none" and client.get(TILE).headers["cache-control"].startswith("public, max-age=3600,")
     time.sleep(0.4)
     assert not (tmp_path / "begun").exists()
 
 
-def test_requests_stop_it_and_idleness_lets_it_go_on(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_requests_pause_calibration_until_idle(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"))
     idle = client.service.pool.idle
     until(lambda: idle.pid is not None and not idle.paused)
@@ -188,7 +188,7 @@ def test_requests_stop_it_and_idleness_lets_it_go_on(serve: Serve, tmp_path: Pat
     assert (answer.status_code, idle.paused, state(client)) == (200, True, "paused")
     pid = idle.pid
     assert pid is not None
-    until(lambda: is_stopped(pid))  # a signal waits until its process is on, which on a busy machine stands behind all others
+    until(lambda: is_stopped(pid))  # the signal takes effect when its process is scheduled, late on a busy machine
     (tmp_path / "go").touch()
     time.sleep(0.2)
     assert state(client) == "paused" and policy(client) == "rules"
@@ -197,7 +197,7 @@ def test_requests_stop_it_and_idleness_lets_it_go_on(serve: Serve, tmp_path: Pat
 
 
 @pytest.mark.parametrize("paused", [False, True])
-def test_shutdown_leaves_no_process_and_no_file(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, paused: bool):
+def test_shutdown_leaves_no_process_or_file(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, paused: bool):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
     measure = functools.partial(fake_calibrations.endless, tmp_path / "begun")
@@ -207,7 +207,7 @@ def test_shutdown_leaves_no_process_and_no_file(hills_level: Path, tmp_path: Pat
         pid, left = client.service.pool.idle.pid, Path((tmp_path / "begun").read_text().strip())
         assert pid is not None and alive(pid) and left.exists()
         if paused:
-            monkeypatch.setattr(idle_work, "QUIET_S", 3600.0)  # so that it is not continued before it is looked at
+            monkeypatch.setattr(idle_work, "QUIET_S", 3600.0)  # so that it stays paused
             assert client.get(TILE).status_code == 200
             until(lambda: is_stopped(pid))
     assert not alive(pid) and not left.parent.exists()

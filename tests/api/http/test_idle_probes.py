@@ -1,4 +1,4 @@
-"""A service's levels are probed while nothing is drawn, and plans of their tiles go by it: as a new version of all their plans."""
+"""An idle service probes its levels; the probes give the plans of their tiles a new version."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Serve = Callable[..., Client]
 
 @pytest.fixture
 def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
-    """``serve(probe, **settings)`` is a client of a service, soon idle, on a calibrated device."""
+    """Yield ``serve(probe, **settings)``, which returns a client of a calibrated service with a short idle delay."""
     soon_idle(tmp_path, monkeypatch, caplog)
     monkeypatch.setattr(idle_probes, "READ_EVERY_S", 0.02)
     save_profile(profile())
@@ -49,7 +49,7 @@ def kept() -> list[Path]:
     return list(probes_folder(fake_workers.RENDERER, fake_workers.VERSION).glob("*.json"))
 
 
-def test_predictions_first_then_what_was_probed(serve: Serve, caplog: pytest.LogCaptureFixture):
+def test_probes_replace_predictions(serve: Serve, caplog: pytest.LogCaptureFixture):
     client = serve()
     predicted = client.get(TILE)
     assert predicted.text == client.service.pool.plan_version(None)
@@ -66,7 +66,7 @@ def test_predictions_first_then_what_was_probed(serve: Serve, caplog: pytest.Log
     assert said(caplog, "were probed at 2 scales") == 1
 
 
-def test_another_service_goes_by_it_from_its_first_tile(serve: Serve):
+def test_saved_probes_are_used_from_the_first_tile(serve: Serve):
     first = serve()
     first.get(TILE)
     until(lambda: waiting(first) == 0)
@@ -74,7 +74,7 @@ def test_another_service_goes_by_it_from_its_first_tile(serve: Serve):
     assert serve(fake_probes.failing).get(TILE).text == version != first.service.pool.plan_version(None)
 
 
-def test_probes_of_a_command_beside_it_are_taken_up(serve: Serve):
+def test_probes_saved_by_a_command_are_loaded(serve: Serve):
     client = serve(probe_when_idle=False)
     before = client.get(TILE)
     assert waiting(client) == 0 and before.headers["cache-control"].startswith("public, max-age=3600,")
@@ -84,7 +84,7 @@ def test_probes_of_a_command_beside_it_are_taken_up(serve: Serve):
     until(lambda: client.get(TILE).text != before.text)
 
 
-def test_a_level_that_cannot_be_probed_stays_predicted(serve: Serve, caplog: pytest.LogCaptureFixture):
+def test_failed_probe_keeps_predictions(serve: Serve, caplog: pytest.LogCaptureFixture):
     client = serve(fake_probes.failing)
     predicted = client.get(TILE).text
     until(lambda: said(caplog, "could not be probed") == 1)
@@ -93,7 +93,7 @@ def test_a_level_that_cannot_be_probed_stays_predicted(serve: Serve, caplog: pyt
     assert said(caplog, "could not be probed") == 1, "it is not tried again"
 
 
-def test_what_cannot_be_kept_holds_until_the_service_ends(serve: Serve, caplog: pytest.LogCaptureFixture):
+def test_unsaved_probes_last_until_shutdown(serve: Serve, caplog: pytest.LogCaptureFixture):
     folder = probes_folder(fake_workers.RENDERER, fake_workers.VERSION)
     folder.parent.mkdir(parents=True)
     folder.touch()  # a file in its place
@@ -103,7 +103,7 @@ def test_what_cannot_be_kept_holds_until_the_service_ends(serve: Serve, caplog: 
     assert said(caplog, "until this service ends") == 1
 
 
-def test_a_level_is_probed_at_all_its_scales(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch):
+def test_probed_level_covers_all_scales(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch):
     from skugga.api.workers.jobs import LevelKey
     from skugga.selector.cost.typical_device import typical_device
 

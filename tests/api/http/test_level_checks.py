@@ -1,4 +1,4 @@
-"""One level that cannot be read in time keeps nobody waiting for another one, nor for what is kept of itself."""
+"""A level whose files cannot be checked in time delays no other level, and is served as last known."""
 
 import asyncio
 import errno
@@ -22,7 +22,7 @@ from tests.api.workers import fake_workers
 
 
 class Looks:
-    """A look that tests let through, or not."""
+    """A check of a level's files that blocks until the test sets ``go``."""
 
     def __init__(self, outcome: object = "new") -> None:
         self.outcome, self.begun, self.go = outcome, 0, threading.Event()
@@ -39,7 +39,7 @@ def check(looks: Looks, fresh_s: float = 0.0, wait_s: float = 0.2) -> LevelCheck
     return LevelCheck("level", "old", looks, fresh_s, wait_s)
 
 
-def test_a_look_that_hangs_is_not_waited_for_and_comes_later():
+def test_hanging_check_returns_the_old_level():
     async def scenario() -> None:
         looks = Looks()
         level = check(looks)
@@ -54,7 +54,7 @@ def test_a_look_that_hangs_is_not_waited_for_and_comes_later():
     asyncio.run(scenario())
 
 
-def test_a_look_that_comes_in_time_is_waited_for():
+def test_check_in_time_is_awaited():
     async def scenario() -> None:
         looks = Looks()
         looks.go.set()
@@ -70,7 +70,7 @@ def test_a_look_that_comes_in_time_is_waited_for():
     asyncio.run(scenario())
 
 
-def test_what_a_look_raises_is_raised_until_a_look_does_not():
+def test_check_error_is_raised_until_a_check_succeeds():
     async def scenario() -> None:
         looks = Looks(LevelError("level.yaml", "x", "y"))
         looks.go.set()
@@ -85,7 +85,7 @@ def test_what_a_look_raises_is_raised_until_a_look_does_not():
     asyncio.run(scenario())
 
 
-def test_a_look_that_never_comes_back_is_left_to_itself(monkeypatch: pytest.MonkeyPatch):
+def test_hanging_checks_are_bounded(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(level_checks, "LOOK_AGAIN_S", 0.0)
 
     async def scenario() -> None:
@@ -101,7 +101,7 @@ def test_a_look_that_never_comes_back_is_left_to_itself(monkeypatch: pytest.Monk
 
 @contextmanager
 def no_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A machine on which no thread can be started, as at its limit of processes."""
+    """Let every start of a thread fail, as at a machine's limit of processes."""
 
     def start(thread: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
@@ -111,8 +111,8 @@ def no_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         yield
 
 
-def test_moments_without_a_thread_cost_no_later_look(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
-    """Each of them once lost one of a few looks for ever."""
+def test_failed_thread_start_costs_no_later_check(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
+    """Each failed start once used up one of the few allowed checks for ever."""
     monkeypatch.setattr(level_checks, "LOOK_AGAIN_S", 0.0)
 
     async def scenario() -> None:
@@ -128,7 +128,7 @@ def test_moments_without_a_thread_cost_no_later_look(monkeypatch: pytest.MonkeyP
     assert caplog.text.count("its files cannot be checked") == 1, "it is told once"
 
 
-def test_a_look_without_descriptors_says_nothing_of_the_files():
+def test_check_without_descriptors_keeps_the_old_level():
     async def scenario() -> None:
         looks = Looks(OSError(errno.EMFILE, "Too many open files"))
         looks.go.set()
@@ -140,8 +140,8 @@ def test_a_look_without_descriptors_says_nothing_of_the_files():
     asyncio.run(scenario())
 
 
-def test_requests_of_a_moment_without_threads_are_told_to_come_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """The level is served as it was; what needs a thread comes again, and has it then."""
+def test_request_without_a_thread_is_503_with_retry_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The level is served as last known; a request that needs a thread can be repeated later."""
     path = write_level(tmp_path, "hills")
     with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.obedient)) as client:
         client.get(tile("hills"))
@@ -169,8 +169,8 @@ def tile(level: str) -> str:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
-def test_a_raster_that_becomes_a_pipe_is_told_of_and_stops_no_other_level(tmp_path: Path):
-    """Who opens a named pipe waits until somebody writes into it."""
+def test_raster_replaced_by_a_pipe_blocks_no_other_level(tmp_path: Path):
+    """Opening a named pipe blocks until another process writes into it."""
     good, slow = write_level(tmp_path, "good"), write_level(tmp_path, "slow")
     settings = Settings(workers=1, level_check_s=0, level_timeout_s=2.0)
     with running(create_app(settings, [good, slow], fake_workers.obedient)) as client:
@@ -191,7 +191,7 @@ def test_a_raster_that_becomes_a_pipe_is_told_of_and_stops_no_other_level(tmp_pa
         assert client.get(tile("slow"), timeout=10).status_code == 200
 
 
-def test_a_level_that_takes_long_to_parse_is_served_as_it_was(tmp_path: Path):
+def test_level_that_parses_slowly_is_served_as_before(tmp_path: Path):
     path = write_level(tmp_path, "hills")
     settings = Settings(workers=1, level_check_s=0, level_timeout_s=0.2)
     with running(create_app(settings, [path], fake_workers.obedient)) as client:

@@ -1,4 +1,4 @@
-"""A folder of level files: which are served, and what the list does when files come and go."""
+"""A folder of level files: which files are served, and how the list follows added and removed files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PATIENCE_S = 120
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """With the levels ``hills`` and ``moor``."""
+    """Return a folder with the levels ``hills`` and ``moor``."""
     (tmp_path / "levels").mkdir()
     for name in ("hills", "moor"):
         write_level(tmp_path / "levels", name)
@@ -46,7 +46,7 @@ def remove(folder: Path, name: str) -> None:
         (folder / f"{name}{suffix}").unlink()
 
 
-def test_level_files_are_served_and_rasters_are_their_data(folder: Path, tmp_path: Path):
+def test_folder_serves_level_files_only(folder: Path, tmp_path: Path):
     (folder / "moor.yaml").rename(folder / "moor.yml")
     (folder / ".hills.yaml").write_text("an editor's", encoding="utf-8")
     (folder / "below.yaml").mkdir()
@@ -54,7 +54,7 @@ def test_level_files_are_served_and_rasters_are_their_data(folder: Path, tmp_pat
     assert ServedLevels([named], folder=folder).names() == ["named", "hills", "moor"]
 
 
-def test_a_file_that_cannot_be_served_is_told_of_and_stops_no_other(folder: Path, caplog: pytest.LogCaptureFixture):
+def test_broken_level_file_is_logged_and_left_out(folder: Path, caplog: pytest.LogCaptureFixture):
     (folder / "broken.yaml").write_text("version: 7", encoding="utf-8")
     os.mkfifo(folder / "pipe.yaml")
     (folder / "nowhere.yaml").symlink_to(folder / "gone.yaml")
@@ -64,7 +64,7 @@ def test_a_file_that_cannot_be_served_is_told_of_and_stops_no_other(folder: Path
 
 
 @pytest.mark.parametrize(("other", "named"), [("hills.yml", False), ("hills.yaml", True)])
-def test_two_files_of_one_name_are_one_error(folder: Path, tmp_path: Path, other: str, named: bool):
+def test_two_level_files_of_one_name_are_an_error(folder: Path, tmp_path: Path, other: str, named: bool):
     path = write_level(tmp_path, "hills") if named else folder / other
     if not named:
         path.write_text((folder / "hills.yaml").read_text(), encoding="utf-8")
@@ -74,12 +74,12 @@ def test_two_files_of_one_name_are_one_error(folder: Path, tmp_path: Path, other
     assert exit_status(caught.value) == 2
 
 
-def test_a_folder_that_is_none(tmp_path: Path):
+def test_missing_folder_is_an_input_error(tmp_path: Path):
     with pytest.raises(InputError, match="SKUGGA_LEVELS.*nowhere.*a folder"):
         ServedLevels([], folder=tmp_path / "nowhere")
 
 
-def test_the_list_is_read_anew(folder: Path, caplog: pytest.LogCaptureFixture):
+def test_read_folder_again_updates_the_list(folder: Path, caplog: pytest.LogCaptureFixture):
     levels = ServedLevels([], folder=folder)
     hills = levels.get("hills")
     remove(folder, "moor")
@@ -94,7 +94,7 @@ def test_the_list_is_read_anew(folder: Path, caplog: pytest.LogCaptureFixture):
     assert levels.names() == ["broken", "fen", "hills"]
 
 
-def test_levels_stay_as_they_are_where_the_list_cannot_be_read(folder: Path, caplog: pytest.LogCaptureFixture):
+def test_unreadable_folder_leaves_levels_unchanged(folder: Path, caplog: pytest.LogCaptureFixture):
     levels = ServedLevels([], folder=folder)
     write_level(folder, "fen")
     (folder / "fen.yml").write_text((folder / "fen.yaml").read_text(), encoding="utf-8")
@@ -105,8 +105,8 @@ def test_levels_stay_as_they_are_where_the_list_cannot_be_read(folder: Path, cap
     assert levels.names() == ["hills", "moor"] and "The levels are unchanged." in caplog.text
 
 
-def test_a_level_that_broke_since_is_not_left_out(folder: Path):
-    """Its addresses say so, and it is back once it is mended."""
+def test_level_broken_after_start_stays_listed(folder: Path):
+    """Requests for it fail until its file is repaired."""
     levels = ServedLevels([], folder=folder)
     (folder / "moor.yaml").write_text("version: 7", encoding="utf-8")
     levels.read_folder_again()
@@ -116,7 +116,7 @@ def test_a_level_that_broke_since_is_not_left_out(folder: Path):
     assert levels.get("moor").name == "moor"
 
 
-def test_clients_see_them_come_and_go(folder: Path):
+def test_clients_see_added_and_removed_levels(folder: Path):
     settings = Settings(workers=1, levels=folder)
     with running(create_app(settings, [], fake_workers.obedient)) as client:
         for name in ("hills", "moor"):
@@ -130,7 +130,7 @@ def test_clients_see_them_come_and_go(folder: Path):
 
 
 def without_the_file(pipe: Connection, config: WorkerConfig, begun, go) -> None:
-    """A render process that finds no level file once it is let ``go``, having said that it has ``begun``."""
+    """Run a fake render worker that signals ``begun``, waits for ``go``, and then fails to find the level file."""
     pipe.send(Ready(fake_workers.RENDERER))
     while True:
         try:
@@ -146,8 +146,8 @@ def without_the_file(pipe: Connection, config: WorkerConfig, begun, go) -> None:
 
 
 @pytest.mark.parametrize(("target", "status"), [(fake_workers.obedient, 200), (without_the_file, 404)])
-def test_a_level_that_is_removed_while_its_tile_is_drawn(folder: Path, target: Callable[..., None], status: int):
-    """It is drawn, or was there no more when the render process looked."""
+def test_level_removed_while_its_tile_is_drawn_is_404(folder: Path, target: Callable[..., None], status: int):
+    """The tile itself is 200 if the worker had read the level before, else 404; later requests are 404."""
     spawn = get_context("spawn")
     begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
     app = create_app(Settings(workers=1, levels=folder), [], functools.partial(target, begun=begun, go=go))
@@ -170,7 +170,7 @@ def assert_lives(client: Client) -> None:
     assert [level["name"] for level in client.get("/levels").json()] == ["hills"]
 
 
-def test_a_file_that_is_wrong_is_the_operators_as_long_as_it_is_served(folder: Path):
+def test_missing_file_of_a_served_level_is_500(folder: Path):
     spawn = get_context("spawn")
     begun, go = spawn.Semaphore(0), spawn.Semaphore(1)
     app = create_app(Settings(workers=1, levels=folder), [], functools.partial(without_the_file, begun=begun, go=go))
@@ -178,7 +178,7 @@ def test_a_file_that_is_wrong_is_the_operators_as_long_as_it_is_served(folder: P
         check_problem(client.get(f"/levels/moor/{TILE}"), 500, "level", None)
 
 
-def test_a_signal_reads_the_list_anew(folder: Path):
+def test_sighup_reads_the_folder_again(folder: Path):
     with serving([], r"on (http://\S+)", dict(os.environ) | {"SKUGGA_LEVELS": str(folder)}) as (process, address):
         assert {level["name"] for level in httpx.get(f"{address}/levels").json()} == {"hills", "moor"}
         remove(folder, "moor")
@@ -190,7 +190,7 @@ def test_a_signal_reads_the_list_anew(folder: Path):
         assert {level["name"] for level in httpx.get(f"{address}/levels").json()} == {"fen", "hills"}
 
 
-def test_roots_are_a_list_of_folders(monkeypatch: pytest.MonkeyPatch, folder: Path, tmp_path: Path):
+def test_data_roots_are_a_list_of_folders(monkeypatch: pytest.MonkeyPatch, folder: Path, tmp_path: Path):
     outside = write_level(tmp_path, "outside")
     level = json.loads(outside.read_text())
     level["terrain"]["source"] = "../outside.tif"

@@ -1,4 +1,4 @@
-"""The page of a level, and its layers for QGIS."""
+"""The HTML page of a level, its lines for map clients, and its layer definition for QGIS."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ X, Y = CORNER
 
 
 class Links(HTMLParser):
-    """Addresses that a page names, apart from data that it carries itself, and that every element is closed."""
+    """The addresses that a page links to, without ``data:`` URLs; asserts that every element is closed."""
 
     VOID = ("meta", "link", "img")
 
@@ -40,7 +40,7 @@ class Links(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_a_browser_gets_the_page_and_a_program_the_facts(client: Client):
+def test_accept_header_selects_page_or_json(client: Client):
     page = client.get("/levels/hills", headers={"Accept": BROWSER})
     assert page.headers["content-type"].startswith("text/html") and "Accept" in page.headers["vary"]
     assert page.text == client.get("/levels/hills.html").text
@@ -52,7 +52,7 @@ def test_a_browser_gets_the_page_and_a_program_the_facts(client: Client):
 
 
 @pytest.mark.parametrize("name", ["hills", "site"])
-def test_every_link_of_the_page_leads_somewhere(client: Client, name: str):
+def test_every_link_of_the_page_answers(client: Client, name: str):
     page = client.get(f"/levels/{name}.html")
     links = Links(page.text)
     assert not links.open and len(links.found) > 4
@@ -61,8 +61,8 @@ def test_every_link_of_the_page_leads_somewhere(client: Client, name: str):
         assert answer.status_code == 200, link
 
 
-def test_its_lines_lead_to_tiles(client: Client):
-    """The addresses of the lines, with the numbers of a tile in the place of the variables."""
+def test_page_lines_lead_to_tiles(client: Client):
+    """Each address in the lines answers once a tile's numbers replace its variables."""
     lines = unescape("\n".join(re.findall(r"<pre>(.*?)</pre>", client.get("/levels/hills.html").text, re.DOTALL)))
     for client_name in (
         "raster-dem",
@@ -83,7 +83,7 @@ def test_its_lines_lead_to_tiles(client: Client):
         )
 
 
-def test_lines_as_json_are_those_of_the_page_with_what_is_asked(client: Client):
+def test_lines_json_equals_page_lines_and_keeps_the_query(client: Client):
     page = client.get("/levels/hills.html").text
     headings, texts = ([unescape(each) for each in re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)] for tag in ("h2", "pre"))
     plain = client.get("/levels/hills/lines.json").json()
@@ -101,7 +101,7 @@ def test_lines_as_json_are_those_of_the_page_with_what_is_asked(client: Client):
     assert client.get("/levels/hills/lines.json?layer=sunhours").json()["parameter"] == "date"
 
 
-def test_what_a_level_is_called_is_no_markup(tmp_path):
+def test_level_texts_are_escaped_in_markup(tmp_path):
     level = write_level(tmp_path, "odd & name", title="<b>Hills</b>", attribution="it's </pre> <i>ours</i>")
     with running(create_app(Settings(workers=1), [level], fake_workers.obedient)) as client:
         page = client.get("/levels/odd%20%26%20name.html")
@@ -114,7 +114,7 @@ def test_what_a_level_is_called_is_no_markup(tmp_path):
         assert "https://maps.example/levels/odd%20%26%20name/wms" in level_page(served, "https://maps.example")
 
 
-def test_layers_for_qgis(client: Client):
+def test_qlr_lists_the_layers_for_qgis(client: Client):
     answer = client.get("/levels/timed.qlr")
     assert answer.status_code == 200 and answer.content.startswith(b"<!DOCTYPE qgis-layer-definition>")
     root = ElementTree.fromstring(answer.content)

@@ -1,4 +1,4 @@
-"""What the service says of its levels."""
+"""Descriptions of levels: lists, TileJSON, plans, health and documentation."""
 
 import json
 import re
@@ -14,7 +14,7 @@ TILEJSON = "/levels/{}/WebMercatorQuad/tilejson.json"
 
 
 class TileJson(BaseModel):
-    """What TileJSON 3.0.0 asks of a raster document."""
+    """The fields that TileJSON 3.0.0 requires of a raster document, and ours."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -30,7 +30,7 @@ class TileJson(BaseModel):
     skugga: dict
 
 
-def test_levels(client: Client):
+def test_levels_are_listed_with_their_facts(client: Client):
     levels = {level["name"]: level for level in client.get("/levels").json()}
     assert list(levels) == ["hills", "timed", "site"]
     hills = levels["hills"]
@@ -51,21 +51,21 @@ def test_levels(client: Client):
     assert not hills["sun_is_default"]
 
 
-def test_level_without_a_sun_says_that_its_sun_was_chosen(tmp_path):
+def test_level_without_a_sun_reports_a_default_sun(tmp_path):
     (level,) = ServedLevels([write_level(tmp_path, "bare", sun=None)]).known()
     bare = level.summary()
     assert bare["sun_is_default"]
     assert set(bare["sun"]) == {"azimuth", "altitude"}, "a low one of its place, at no time"
 
 
-def test_a_flat_world_is_listed_without_a_place(client: Client):
+def test_engineering_level_is_listed_without_bounds(client: Client):
     site = client.get("/levels/site").json()
     assert (site["bounds"], site["minzoom"], site["maxzoom"], site["tile_matrix_sets"]) == (None, None, None, {})
     assert site["time_zone"] is None
     assert client.get("/levels/site/plan").json()["view"] == "map"
 
 
-def test_zooms_are_served_to_their_ends(client: Client):
+def test_tiles_are_served_from_minzoom_to_maxzoom(client: Client):
     tilejson = client.get(TILEJSON.format("hills")).json()
     west, south, east, north = tilejson["bounds"]
     from morecantile import tms
@@ -78,7 +78,7 @@ def test_zooms_are_served_to_their_ends(client: Client):
         assert client.head(address).status_code == status, zoom
 
 
-def test_tilejson(client: Client):
+def test_tilejson_describes_the_level(client: Client):
     answer = client.get(TILEJSON.format("hills"))
     document = TileJson.model_validate(answer.json())
     (template,) = document.tiles
@@ -88,7 +88,7 @@ def test_tilejson(client: Client):
     assert "max-age" in answer.headers["cache-control"]
 
 
-def test_tilejson_passes_its_query_on(client: Client):
+def test_tilejson_template_keeps_the_query(client: Client):
     query = {"layer": "shadow", "time": "2024-06-21T19:00:00+02:00", "algorithm": "relief=none", "map_size": "512"}
     document = client.get(TILEJSON.format("hills"), params={**query, "format": "webp"}).json()
     (template,) = document["tiles"]
@@ -102,20 +102,20 @@ def test_tilejson_passes_its_query_on(client: Client):
     assert 275 < sun["azimuth"] < 290 and 18 < sun["altitude"] < 25  # the north-west, two and a half hours before sunset
 
 
-def test_the_levels_own_time_has_angles_too(client: Client):
+def test_tilejson_gives_the_angles_of_the_level_time(client: Client):
     sun = client.get(TILEJSON.format("timed")).json()["skugga"]["sun"]
     assert set(sun) == {"time", "azimuth", "altitude"}
     assert 260 < sun["azimuth"] < 280
 
 
-def test_facts_have_tags(client: Client):
+def test_descriptions_have_etags(client: Client):
     for address in ("/levels", "/levels/hills", TILEJSON.format("hills"), "/levels/hills/plan"):
         tag = client.get(address).headers["etag"]
         again = client.get(address, headers={"If-None-Match": tag})
         assert (again.status_code, again.content) == (304, b"")
 
 
-def test_plan(client: Client):
+def test_plan_of_a_view_names_its_algorithms(client: Client):
     plan = client.get("/levels/hills/plan", params={"view": "map"}).json()
     keys = {"view", "policy", "algorithm", "settings", "effects", "left_out", "rejected", "passes", "predicted", "target"}
     assert keys <= set(plan)
@@ -125,8 +125,8 @@ def test_plan(client: Client):
 
 
 @pytest.mark.parametrize("address", ["/healthz", "/readyz"])
-def test_health(client: Client, address: str):
-    client.get("/levels/hills/plan")  # by now a render process is ready
+def test_health_answers_are_ok_and_uncached(client: Client, address: str):
+    client.get("/levels/hills/plan")  # by now a render worker is ready
     answer = client.get(address)
     assert answer.status_code == 200
     assert answer.headers["cache-control"] == "no-store"
@@ -137,7 +137,7 @@ def test_readiness_names_the_renderer(client: Client):
     assert client.get("/readyz").json()["renderer"] == client.service.pool.renderer
 
 
-def test_documentation(client: Client):
+def test_openapi_documents_tiles_and_problems(client: Client):
     assert client.get("/docs").status_code == 200
     document = client.get("/openapi.json").json()
     paths = document["paths"]

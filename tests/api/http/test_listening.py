@@ -1,4 +1,4 @@
-"""Clients who send nothing, or too slowly, and more of them than there are file descriptors for: others are served all the same."""
+"""Idle and stalled connections, and more connections than file descriptors, keep no other client from being served."""
 
 import contextlib
 import resource
@@ -30,7 +30,7 @@ def open_sockets() -> Iterator[Callable[[Client, bytes], socket.socket]]:
 
 
 def is_ended(one: socket.socket) -> bool:
-    """Whether the server ends a connection, waited for."""
+    """Return whether the server closes a connection within ``SOON_S``."""
     one.settimeout(SOON_S)
     try:
         while one.recv(65536):
@@ -52,12 +52,12 @@ def is_ended(one: socket.socket) -> bool:
         b"POST /plan HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n1\r\n{\r\n",
     ],
 )
-def test_a_request_that_does_not_come_ends_its_connection(serve_with, open_sockets, said: bytes):
+def test_stalled_request_closes_its_connection(serve_with, open_sockets, said: bytes):
     client = serve_with(fake_workers.obedient, client_timeout_s=0.3)
     assert is_ended(open_sockets(client, said))
 
 
-def test_a_request_that_comes_by_the_byte_ends_too(serve_with, open_sockets):
+def test_request_sent_byte_by_byte_times_out(serve_with, open_sockets):
     client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
     one = open_sockets(client, b"GET /healthz HTTP/1.1\r\nX: ")
     until_s = time.monotonic() + SOON_S
@@ -68,7 +68,7 @@ def test_a_request_that_comes_by_the_byte_ends_too(serve_with, open_sockets):
 
 
 @pytest.mark.parametrize("start", [b"GET /", b"GET /healthz HTTP/1.1\r\nX: ", b"GET /healthz HTTP/1.1\r\n" + b"A: b\r\n" * 100])
-def test_headers_without_end_are_not_kept(serve_with, open_sockets, start: bytes):
+def test_endless_headers_close_the_connection(serve_with, open_sockets, start: bytes):
     client = serve_with(fake_workers.obedient)
     one = open_sockets(client, start)
     part = b"x" * 65536 if not start.endswith(b"\n") else b"A: b\r\n" * 10_000
@@ -81,14 +81,14 @@ def test_headers_without_end_are_not_kept(serve_with, open_sockets, start: bytes
     assert client.get("/healthz").status_code == 200
 
 
-def test_many_usual_requests_on_one_connection_have_room_for_their_headers(serve_with):
+def test_header_limit_holds_per_request(serve_with):
     client = serve_with(fake_workers.obedient)
     for _ in range(40):
         assert client.get("/healthz", headers={"X": "x" * 8000}).status_code == 200
     assert client.post("/plan", content=b"x" * 500_000).status_code == 422
 
 
-def test_an_answer_that_nobody_reads_ends_its_connection(serve_with, open_sockets):
+def test_unread_answers_close_their_connection(serve_with, open_sockets):
     client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
     whole, asked = len(client.get("/openapi.json").content), 500
     one = open_sockets(client, b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * asked)
@@ -111,7 +111,7 @@ def _received(one: socket.socket) -> int:
     return count
 
 
-def test_silent_connections_make_way(serve_with, open_sockets):
+def test_idle_connections_are_evicted(serve_with, open_sockets):
     client = serve_with(fake_workers.obedient, max_connections=8)
     silent = [open_sockets(client) for _ in range(40)]
     for _ in range(5):
@@ -121,8 +121,8 @@ def test_silent_connections_make_way(serve_with, open_sockets):
     assert is_ended(silent[0])
 
 
-def test_more_connections_than_descriptors(serve_with, open_sockets, caplog: pytest.LogCaptureFixture):
-    """The server's process has so few descriptors left that it runs out: it pauses, tells so once, and goes on."""
+def test_server_recovers_from_running_out_of_descriptors(serve_with, open_sockets, caplog: pytest.LogCaptureFixture):
+    """A server without free file descriptors pauses accepting, logs this at most once, and goes on later."""
     client = serve_with(fake_workers.obedient)
     assert client.get("/readyz").status_code in (200, 503)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -146,7 +146,7 @@ def test_more_connections_than_descriptors(serve_with, open_sockets, caplog: pyt
     assert len(told) <= 1
 
 
-def test_the_limit_of_connections_leaves_descriptors_for_the_rest():
+def test_connection_limit_leaves_spare_descriptors():
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     assert connection_limit(Settings(workers=1, max_connections=5)) == 5
     try:

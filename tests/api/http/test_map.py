@@ -1,4 +1,4 @@
-"""Maps of any extent."""
+"""Maps of any extent, CRS and size."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def pixels(answer: httpx.Response) -> np.ndarray:
 
 
 @pytest.mark.parametrize("layer", ["color", "shadow", "mask", "terrain-rgb"])
-def test_a_map_of_a_tiles_extent_is_the_tile(client: Client, layer: str):
+def test_map_of_a_tile_extent_equals_the_tile(client: Client, layer: str):
     sun = {"azimuth": 221.5, "altitude": 17.25}
     asked = {"bbox": EDGES, "crs": "EPSG:3857", "width": 256, "height": 256, "layer": layer, **sun}
     answer = client.get(f"{MAP}.png", params=asked)
@@ -44,7 +44,7 @@ def test_a_map_of_a_tiles_extent_is_the_tile(client: Client, layer: str):
         assert again.content == answer.content and "map;desc=kept" in again.headers["server-timing"]
 
 
-def test_it_has_a_tag_before_it_is_drawn(client: Client):
+def test_map_has_an_etag_before_it_is_drawn(client: Client):
     asked = {"bbox": EDGES, "crs": "EPSG:3857", "width": 64, "height": 64, "layer": "shadow"}
     answer = client.get(f"{MAP}.png", params=asked)
     before = client.service.pool.counters.answered
@@ -59,8 +59,8 @@ def test_it_has_a_tag_before_it_is_drawn(client: Client):
     )
 
 
-def test_two_maps_side_by_side_are_one(client: Client):
-    """Off the grid of tiles: the plan is of the level and the scale, so that WMS clients' own tiles join."""
+def test_adjacent_maps_join_without_a_seam(client: Client):
+    """The maps lie off the tile grid, as those of WMS clients. They join because the plan depends on level and scale alone."""
     west, south, east, north = (float(value) for value in EDGES.split(","))
     west, east = west - 1000.3, east - 1000.3
     middle = (west + east) / 2
@@ -76,13 +76,13 @@ def test_two_maps_side_by_side_are_one(client: Client):
     assert differing.mean() < 0.002 and not differing[:, 92:100].any(axis=0).all()
 
 
-def test_a_map_in_utm_lies_where_it_says(client: Client):
-    """The middle of the raster, where the heights are known by arithmetic, is found through the GeoTIFF's own georeference."""
+def test_utm_map_has_the_right_georeference(client: Client):
+    """The GeoTIFF's transform puts the valid pixels on the raster's square, whose centre and side are known by arithmetic."""
     answer = client.get(f"{MAP}.tif", params={"layer": "visibility", "crs": "EPSG:32632", "width": 120})
     with MemoryFile(answer.content) as file, file.open() as dataset:
         assert (dataset.crs.to_epsg(), dataset.dtypes, dataset.width) == (32632, ("float32",), 120)
         values, transform = dataset.read(1), dataset.transform
-    assert 0.01 < np.isnan(values).mean() < 0.2  # a square of Web Mercator is turned in the zone, and so are its bounds
+    assert 0.01 < np.isnan(values).mean() < 0.2  # the UTM bounds of a Web Mercator square hold nodata in the corners
     to_mercator = Transformer.from_crs(32632, 3857, always_xy=True)
     rows, cols = np.nonzero(np.isfinite(values))
     x, y = to_mercator.transform(*(transform @ (cols + 0.5, rows + 0.5)))
@@ -92,17 +92,17 @@ def test_a_map_in_utm_lies_where_it_says(client: Client):
     assert np.abs(x - corner.left).max() > half - 200 and np.abs(y - corner.top).max() > half - 200
 
 
-def test_what_is_not_named_is_the_levels_own(client: Client):
+def test_map_defaults_come_from_the_level(client: Client):
     answer = client.get(f"{MAP}.png", params={"width": 100})
     assert pixels(answer).shape[1] == 100
     with MemoryFile(client.get(f"{MAP}.tif", params={"height": 50, "layer": "mask"}).content) as file, file.open() as dataset:
         assert dataset.height == 50 and dataset.nodata == 128
-        assert dataset.crs.to_epsg() == 3857  # that of the raster
-    assert pixels(client.get("/levels/site/map.png", params={"width": 64})).shape == (64, 64, 3)  # no place is off its data
+        assert dataset.crs.to_epsg() == 3857  # the raster's CRS
+    assert pixels(client.get("/levels/site/map.png", params={"width": 64})).shape == (64, 64, 3)  # all pixels are valid: no alpha
 
 
 @pytest.mark.parametrize(("bbox", "crs"), [("0,0,1000,1000", "EPSG:3857"), ("100,-40,101,-39", "OGC:CRS84")])
-def test_off_the_data_is_empty(client: Client, bbox: str, crs: str):
+def test_map_off_the_data_is_empty(client: Client, bbox: str, crs: str):
     asked = {"bbox": bbox, "crs": crs, "width": 32, "height": 32}
     assert not pixels(client.get(f"{MAP}.png", params=asked)).any()
     assert (pixels(client.get(f"{MAP}.jpg", params=asked)) == 255).all()
@@ -111,14 +111,14 @@ def test_off_the_data_is_empty(client: Client, bbox: str, crs: str):
         np.testing.assert_allclose(dataset.bounds, [float(value) for value in bbox.split(",")], rtol=1e-9)
 
 
-def test_a_map_of_the_whole_world(client: Client):
-    """The level is far smaller than a pixel: whatever that shows, it is an answer."""
+def test_map_of_the_whole_world_is_answered(client: Client):
+    """The level is far smaller than a pixel; the request succeeds whatever that pixel shows."""
     world = {"bbox": "-180,-90,180,90", "crs": "EPSG:4326", "width": 256, "height": 128}
     assert pixels(client.get(f"{MAP}.png", params=world)).shape == (128, 256, 4)
 
 
-def test_hours_of_sun_as_a_map(client: Client):
-    """In the legend's colours, which are those of hours at points."""
+def test_sun_hours_map_agrees_with_points(client: Client):
+    """The legend's colours are read back as hours, and compared with the hours of direct sun at points."""
     west, south, east, north = client.get("/levels/hills").json()["bounds"]
     lon, lat, side = (west + east) / 2, (south + north) / 2, 0.016
     bbox = f"{lon - side},{lat - side},{lon + side},{lat + side}"
@@ -159,16 +159,16 @@ def test_hours_of_sun_as_a_map(client: Client):
         ("colour=red", "colour", "bbox"),
     ],
 )
-def test_wrong_parameters(client: Client, query: str, parameter: str, said: str):
+def test_map_names_wrong_parameters(client: Client, query: str, parameter: str, said: str):
     problem = check_problem(client.get(f"{MAP}.png?{query}"), 422, "invalid_parameter", parameter)
     assert said in problem["detail"]
 
 
-def test_a_flat_world_has_one_map(client: Client):
+def test_engineering_level_refuses_a_crs(client: Client):
     check_problem(client.get("/levels/site/map.png?crs=EPSG:3857"), 422, "invalid_parameter", "crs")
 
 
-def test_now_is_fresh_for_less_than_its_grain(client: Client):
+def test_current_time_is_fresh_for_at_most_its_grain(client: Client):
     for address in (f"{TILE}.png?layer=mask&time=current", f"{MAP}.png?time=current&width=9"):
         answer = client.get(address)
         assert answer.status_code == 200 and 1 <= int(answer.headers["cache-control"].rpartition("=")[2]) <= 60
@@ -176,10 +176,10 @@ def test_now_is_fresh_for_less_than_its_grain(client: Client):
     assert json.loads(client.get(f"{TILE}.png?time=currently").content)["parameter"] == "time"
 
 
-# -- by arithmetic
+# -- without a service
 
 
-def test_codes_and_axes():
+def test_crs_codes_and_axis_order():
     asked = ("epsg:3857", "3857", "CRS:84", "urn:ogc:def:crs:EPSG::2193", "urn:ogc:def:crs:OGC:1.3:CRS84")
     assert [crs_code(text) for text in asked] == ["EPSG:3857", "EPSG:3857", "OGC:CRS84", "EPSG:2193", "OGC:CRS84"]
     codes = ("EPSG:4326", "OGC:CRS84", "EPSG:3857", "EPSG:2193", "EPSG:3035", "EPSG:32661", "EPSG:5041", "EPSG:3031")
@@ -188,7 +188,7 @@ def test_codes_and_axes():
         crs_code("EPSG:3857 +type=crs")
 
 
-def test_extents_and_sizes():
+def test_parse_bounds_and_map_size():
     assert parse_bounds("1,2,3,4") == (1, 2, 3, 4)
     assert parse_bounds("47,8,48,10", swapped=True) == (8, 47, 10, 48)
     assert map_size(None, None, 2.0) == (1024, 512) and map_size(None, None, 0.5) == (512, 1024)

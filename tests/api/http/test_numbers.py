@@ -1,4 +1,4 @@
-"""Numbers in addresses and queries: one spelling, that of ASCII digits."""
+"""Numbers in paths and queries have one spelling, in ASCII digits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROUTERS = [module.router for module in MODULES]
 
 
 class Client:
-    """Asks an application of two numbers in this process."""
+    """A client of an application in this process that reads two numbers."""
 
     def __init__(self) -> None:
         self.app = FastAPI()
@@ -51,24 +51,24 @@ def client() -> Client:
 
 
 @pytest.mark.parametrize("text", ["12.0", "1_2", "１２", "+12", "%2012", "12%20", "0x12", "1e1", "٣", "12²", "--1", "9" * 30])
-def test_another_spelling_of_a_whole_number_is_refused(client, text):
+def test_other_spellings_of_integers_are_refused(client, text):
     answer = client.get(f"/tiles/{text}")
     assert answer.status_code == 422 and "a whole number" in answer.json()["detail"], answer.text
 
 
 @pytest.mark.parametrize(("text", "number"), [("0", 0), ("12", 12), ("-1", -1), ("007", 7)])
-def test_whole_numbers(client, text, number):
+def test_integers_are_read(client, text, number):
     assert client.get(f"/tiles/{text}").json() == [number, None]
 
 
 @pytest.mark.parametrize("text", ["1_2", "１２", "1٣.5", "0x10", "1e", "", "1,5"])
-def test_another_spelling_of_a_number_is_refused(client, text):
+def test_other_spellings_of_decimals_are_refused(client, text):
     answer = client.get("/tiles/1", azimuth=text)
     assert answer.status_code == 422 and "Allowed: a number" in answer.json()["detail"], answer.text
 
 
 @pytest.mark.parametrize(("text", "number"), [("12", 12.0), ("-1.5", -1.5), ("1e2", 100.0), (" 235", 235.0), (".5", 0.5)])
-def test_numbers(client, text, number):
+def test_decimals_are_read(client, text, number):
     assert client.get("/tiles/1", azimuth=text).json() == [1, number]
 
 
@@ -78,7 +78,7 @@ def parameters(dependant: Dependant) -> Iterator[Any]:
         yield from parameters(each)
 
 
-def test_every_number_of_every_address_is_read_so():
+def test_every_numeric_parameter_is_validated():
     seen = set()
     for router in ROUTERS:
         for route in router.routes:

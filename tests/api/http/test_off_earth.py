@@ -1,4 +1,4 @@
-"""Levels of another celestial body over HTTP: pictures under a sun by angles, and one reason for what only the earth has."""
+"""Levels off the earth: pictures work with a sun given by angles; requests that need the earth fail with one reason."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOT_OF_EARTH = "is not a CRS of the earth"
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    """A service of a level of the Moon, ``moon``, and one in grads of Paris, ``paris``."""
+    """Yield a client of a service of two levels: ``moon`` on the Moon, and ``paris`` in grads from the meridian of Paris."""
     folder: Path = tmp_path_factory.mktemp("moon")
     moon = write_geotiff(folder / "moon.tif", plain_with_tower(), "IAU_2015:30110", 3e5, 6e5, 10.0)
     paris = write_geotiff(folder / "paris.tif", plain_with_tower(), "EPSG:4807", 0.0, 51.0, (1.4e-4, 1e-4))
@@ -35,14 +35,14 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
         "snapshot.png?view=map&time=2024-06-21T12:00:00Z", "point?lon=9.91&lat=19.77&date=2024-06-21",
     ],
 )  # fmt: skip
-def test_what_only_the_earth_has_is_refused(client: Client, address: str):
+def test_requests_that_need_the_earth_are_refused(client: Client, address: str):
     answer = client.get(f"levels/moon/{address}")
     assert answer.status_code == 422
     assert NOT_OF_EARTH in answer.text
 
 
 @pytest.mark.parametrize("address", ["levels/moon/snapshot.png?view=map&azimuth=110&altitude=15&size=64x64", "levels/moon/map.png"])
-def test_a_sun_by_angles_is_drawn(client: Client, address: str):
+def test_sun_by_angles_is_drawn_off_the_earth(client: Client, address: str):
     answer = client.get(address)
     assert answer.status_code == 200
     assert answer.headers["content-type"] == "image/png"
@@ -54,7 +54,7 @@ def test_maps_in_grads_are_refused(client: Client):
     assert "in the unit grad" in answer.json()["detail"]
 
 
-def test_a_level_in_grads_has_tiles_where_it_lies(client: Client):
+def test_level_in_grads_has_bounds_in_degrees(client: Client):
     """Paris lies 2.34 degrees east of Greenwich."""
     west, south, _, _ = client.get("levels/paris/WebMercatorQuad/tilejson.json").json()["bounds"]
     assert west == pytest.approx(2.337, abs=0.01)

@@ -1,4 +1,4 @@
-"""The OpenAPI document: complete, with examples that are answered, and kept to whatever is asked."""
+"""The OpenAPI document is complete, its examples are answered, and all answers conform to it."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ OPERATIONS = [
 
 ASKED_FOR = "/levels/{level}/animations"
 OF_A_JOB = "/animations/{animation}", "/animations/{animation}/result"
-"""Whose example is a name that nobody has: ``test_animations`` asks for those that there are."""
+"""Their examples name an animation that does not exist; ``test_animations`` requests existing ones."""
 
 NOTHING_DRAWN = {"If-None-Match": "*"}
-"""A client that has everything: what would be drawn is told to be unchanged, once all that is asked is found right."""
+"""Headers that let a valid request be answered with 304 instead of being drawn."""
 
 SUN_HOURS_ALONE = "quantity", "window", "clock", "least_altitude"
-"""Parameters of hours of sun: of a layer and a date."""
+"""Parameters of hours of sun, which need that layer and a date."""
 
 
 @pytest.fixture(scope="module")
@@ -71,16 +71,16 @@ def parameters(operation: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def address_of(operation: dict[str, Any]) -> str:
-    """The address of an operation's example."""
+    """Return the address in an operation's example."""
     return operation["description"].rpartition("For example: `")[2].rstrip("`").partition(" ")[2]
 
 
-def test_it_tells_of_every_route(document: dict[str, Any]):
+def test_document_lists_every_route(document: dict[str, Any]):
     assert {(method.upper(), path) for path, ways in document["paths"].items() for method in ways} == set(OPERATIONS)
 
 
 @pytest.mark.parametrize(("method", "path"), OPERATIONS)
-def test_all_of_a_route_is_described_with_examples(document: dict[str, Any], method: str, path: str):
+def test_operation_is_described_with_examples(document: dict[str, Any], method: str, path: str):
     operation = document["paths"][path][method.lower()]
     assert operation["summary"] and len(operation["description"].split("For example")[0]) > 20
     for parameter in parameters(operation):
@@ -95,7 +95,7 @@ def test_all_of_a_route_is_described_with_examples(document: dict[str, Any], met
 
 
 @pytest.mark.parametrize(("method", "path"), OPERATIONS)
-def test_a_route_s_example_is_answered(client: Client, document: dict[str, Any], method: str, path: str):
+def test_operation_example_is_answered(client: Client, document: dict[str, Any], method: str, path: str):
     operation = document["paths"][path][method.lower()]
     body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
     if path == "/readyz":
@@ -107,7 +107,7 @@ def test_a_route_s_example_is_answered(client: Client, document: dict[str, Any],
 
 
 def beside(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, Any]:
-    """What has to be asked beside a parameter for it to mean something."""
+    """Return the parameters without which a parameter has no meaning."""
     name = parameter["name"]
     if name.lower() in ("azimuth", "altitude"):
         other, degrees = ("altitude", 22) if name.lower() == "azimuth" else ("azimuth", 235)
@@ -122,8 +122,8 @@ def beside(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, An
 
 
 @pytest.mark.parametrize(("method", "path"), [each for each in OPERATIONS if "legend" not in each[1]])
-def test_every_parameter_s_example_is_right(client: Client, document: dict[str, Any], method: str, path: str):
-    """Each by itself, where it needs no other; legends are of hours of sun alone."""
+def test_parameter_examples_are_valid(client: Client, document: dict[str, Any], method: str, path: str):
+    """Each example is requested alone, or with the parameters that it needs. Legends exist for hours of sun only."""
     operation = document["paths"][path][method.lower()]
     body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
     address, _, needed = address_of(operation).partition("?")
@@ -134,7 +134,7 @@ def test_every_parameter_s_example_is_right(client: Client, document: dict[str, 
             assert answer.status_code in (200, 304), (asked, answer.text)
 
 
-def test_every_kind_of_problem_is_told_of(document: dict[str, Any]):
+def test_document_lists_every_kind_of_problem(document: dict[str, Any]):
     told: dict[str, set[str]] = {}
     for ways in document["paths"].values():
         for operation in ways.values():
@@ -145,12 +145,12 @@ def test_every_kind_of_problem_is_told_of(document: dict[str, Any]):
                     told.setdefault(status, set()).update(content["examples"])
     expected: dict[str, set[str]] = {}
     for kind in problem_kinds():
-        if kind.status not in (401, 405):  # of a service with a token; of methods that are not documented
+        if kind.status not in (401, 405):  # 401 needs a service with a token; 405 needs a method that is not documented
             expected.setdefault(str(kind.status), set()).add(kind.code)
     assert told == expected
 
 
-def test_a_token_is_told_of_where_there_is_one(serve_with):
+def test_document_requires_the_token_if_set(serve_with):
     client = serve_with(fake_workers.obedient, api_token="a secret token")
     document = client.get("/openapi.json", headers={"Authorization": "Bearer a secret token"}).json()
     for path, ways in document["paths"].items():
@@ -161,7 +161,7 @@ def test_a_token_is_told_of_where_there_is_one(serve_with):
 
 
 def narrowed(document: dict[str, Any]) -> dict[str, Any]:
-    """The document with the names and places that there are, few pixels and few points, so that requests get to the work."""
+    """Return the document with existing names and places only, few pixels and few points, so that requests reach the renderer."""
     narrow = copy.deepcopy(document)
     x, y = CORNER
     places: dict[str, dict[str, Any]] = {
@@ -197,16 +197,17 @@ def whole_schema(document: dict[str, Any]) -> schemathesis.BaseSchema:
 
 
 @pytest.mark.parametrize(("method", "path"), OPERATIONS)
-def test_what_is_asked_by_the_document_is_answered_by_it(
+def test_answers_conform_to_the_document(
     client: Client, right_schema: schemathesis.BaseSchema, whole_schema: schemathesis.BaseSchema, method: str, path: str
 ):
-    """Right and wrong requests of each route: no failure, and no status, media type or JSON that is not told of. What the document
-    forbids is refused.
+    """Generated valid and invalid requests cause no server error, and only documented statuses, media types and JSON.
+
+    The service refuses what the document forbids.
     """
     checks = [status_code_conformance, content_type_conformance, response_schema_conformance]
     wrong = whole_schema[path][method]
     kinds = [(right_schema[path][method], GenerationMode.POSITIVE, checks)]
-    if {each["name"] for each in parameters(wrong.definition.raw)} - {"level", "archive"}:  # any text is a name
+    if {each["name"] for each in parameters(wrong.definition.raw)} - {"level", "archive"}:  # any text is a valid name
         kinds.append((wrong, GenerationMode.NEGATIVE, [*checks, negative_data_rejection]))
     for operation, mode, checks in kinds:
 
@@ -227,9 +228,10 @@ CHECKS = (
 
 
 @pytest.mark.long
-def test_two_minutes_of_requests_of_all_kinds(folder: Path, hills_level: Path, tmp_path: Path):
-    """Examples, values at and past every bound, and drawn ones, of a service that draws them; one after the other, so that none is
-    refused for load.
+def test_schemathesis_finds_no_fault_in_two_minutes(folder: Path, hills_level: Path, tmp_path: Path):
+    """A real service answers examples, values at and past every bound, and random ones.
+
+    Requests come one after the other, so that the service sheds no load.
     """
     levels = [
         hills_level,
@@ -253,7 +255,7 @@ def test_two_minutes_of_requests_of_all_kinds(folder: Path, hills_level: Path, t
         assert client.service.pool.counters.failed == 0 and client.service.pool.counters.answered > 100
 
 
-def test_methods_that_an_address_has(client: Client):
+def test_unsupported_method_is_405_with_allow(client: Client):
     for path, allowed in (
         ("levels", "GET, HEAD"),
         ("levels/hills/point", "GET, HEAD, POST"),
@@ -266,8 +268,8 @@ def test_methods_that_an_address_has(client: Client):
 
 
 @pytest.mark.parametrize(("method", "path"), OPERATIONS)
-def test_preflights_are_answered_whatever_they_send(client: Client, document: dict[str, Any], method: str, path: str):
-    """Of every route, with any headers: nothing that a page sends brings cookies with it."""
+def test_cors_preflight_allows_any_headers(client: Client, document: dict[str, Any], method: str, path: str):
+    """Any header is safe on every route, because no request of a page carries cookies."""
     names = "authorization, cache-control, if-none-match, traceparent, x-request-id"
     asked = {
         "Origin": "https://map.example", "Access-Control-Request-Method": method, "Access-Control-Request-Headers": names,
@@ -278,7 +280,7 @@ def test_preflights_are_answered_whatever_they_send(client: Client, document: di
     assert method in answer.headers["access-control-allow-methods"]
 
 
-def test_only_pages_of_the_setting_s_origins_may_ask(serve_with):
+def test_cors_origins_restrict_pages(serve_with):
     client = serve_with(fake_workers.obedient, cors_origins=("https://map.example",), api_token="a secret token")
     for origin, allowed in (("https://map.example", True), ("https://elsewhere.example", False)):
         headers = {"Origin": origin, "Access-Control-Request-Method": "GET", "Access-Control-Request-Headers": "authorization"}
@@ -291,13 +293,13 @@ def test_only_pages_of_the_setting_s_origins_may_ask(serve_with):
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/readyz", "/metrics"])
-def test_heads_of_health_are_without_bodies(client: Client, path: str):
+def test_head_of_health_has_no_body(client: Client, path: str):
     head, whole = client.head(path), client.get(path)
     assert (head.status_code, head.content, head.headers["content-type"]) == (200, b"", whole.headers["content-type"])
 
 
 @pytest.mark.parametrize(("method", "path"), [each for each in OPERATIONS if "{level}" in each[1]])
-def test_a_level_that_is_not_there_is_told_of(client: Client, document: dict[str, Any], method: str, path: str):
+def test_unknown_level_is_a_documented_404(client: Client, document: dict[str, Any], method: str, path: str):
     operation = document["paths"][path][method.lower()]
     address = address_of(operation).replace("/levels/hills", "/levels/nowhere").replace("LAYERS=hills", "LAYERS=nowhere")
     body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")

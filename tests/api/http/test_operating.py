@@ -1,4 +1,4 @@
-"""The page for operators says what there is: its tables are made from the settings' model and from the metrics."""
+"""The operators' page is up to date: its tables are generated from the settings, the metrics and the kinds of problems."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAGE = ROOT / "docs" / "operating.md"
 
 
 def settings_table() -> str:
-    """The table of all settings."""
+    """Return the table of all settings."""
     rows = ["| variable | default | what |", "| --- | --- | --- |"]
     for name, field in Settings.model_fields.items():
         default: Any = field.default
@@ -41,7 +41,7 @@ def settings_table() -> str:
 
 
 def metrics_table(families: list[Metric]) -> str:
-    """The table of all metrics."""
+    """Return the table of all metrics."""
     rows = ["| metric | kind | what |", "| --- | --- | --- |"]
     for family in sorted(families, key=lambda each: each.name):
         name = family.name + ("_total" if family.type == "counter" else "")
@@ -50,7 +50,7 @@ def metrics_table(families: list[Metric]) -> str:
 
 
 def problems_table() -> str:
-    """The table of all kinds of problems."""
+    """Return the table of all kinds of problems."""
     rows = ["| status | `code` | what | `Retry-After` |", "| --- | --- | --- | --- |"]
     for kind in problem_kinds():
         rows.append(f"| {kind.status} | `{kind.code}` | {kind.about} | {kind.retry_after_s or '-'} |")
@@ -68,7 +68,7 @@ def families() -> list[Metric]:
     ("name", "table"),
     [("settings", settings_table), ("metrics", lambda: metrics_table(families())), ("problems", problems_table)],
 )
-def test_tables_are_what_there_is(name: str, table, request: pytest.FixtureRequest):
+def test_tables_of_the_page_are_up_to_date(name: str, table, request: pytest.FixtureRequest):
     text = PAGE.read_text(encoding="utf-8")
     found = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", text, re.DOTALL)
     assert found is not None
@@ -82,22 +82,22 @@ def test_every_setting_is_described():
     assert all(field.description for field in Settings.model_fields.values())
 
 
-def test_settings_that_the_page_names_exist():
+def test_page_names_exactly_the_settings():
     named = set(re.findall(r"SKUGGA_([A-Z_]+)", PAGE.read_text(encoding="utf-8")))
     assert named == {name.upper() for name in Settings.model_fields}
 
 
-def test_limits_of_a_descriptor_are_those_of_its_model():
+def test_page_states_the_descriptor_limits():
     assert f"up to {MAX_LAMPS} lamps and {MAX_BANDS} bands" in PAGE.read_text(encoding="utf-8")
 
 
 def attacks() -> list[tuple[str, str]]:
-    """File and name of every test that ``SECURITY.md`` names."""
+    """Return file and name of every test that ``SECURITY.md`` names."""
     return re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", (ROOT / "SECURITY.md").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize(("file", "name"), attacks())
-def test_every_attack_has_its_test(file: str, name: str):
+def test_tests_named_by_the_security_page_exist(file: str, name: str):
     assert re.search(rf"^def {name}\(", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE), f"{file} has no {name}"
 
 

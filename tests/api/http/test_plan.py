@@ -1,4 +1,4 @@
-"""Plans over HTTP: of views and tiles, and of descriptors that clients send."""
+"""Plans over HTTP: of views, of tiles, and of descriptors that clients send."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from skugga.api.settings import Settings
 from skugga.api.workers.jobs import DescribedPlanJob, Tiles
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.render_worker import run_job
-from skugga.api.workers.worker_state import TilePlanCache, WorkerState, block_view, tiles_view
+from skugga.api.workers.worker_state import TilePlanCache, WorkerState, block_view, representative_block
 from skugga.selector.cost.device_profile import DeviceProfile, profile_digest
 from skugga.selector.select import plan_of_view
 from skugga.shadows.plan import Plan
@@ -34,7 +34,7 @@ PLAN, FACTS = "/levels/hills/plan", "/levels/hills/descriptor"
 
 
 def _fields(field) -> dict[str, type]:
-    """The names of an effect's facts, and of what kind each is: a number, a truth value or a text."""
+    """Return the type of each of an effect's facts by name: float, bool or str."""
     (model,) = (part for part in get_args(field.annotation) if part is not type(None))
     kinds = {name: str(part.annotation) for name, part in model.model_fields.items()}
     return {name: bool if "bool" in kind else str if "str" in kind else float for name, kind in kinds.items()}
@@ -63,7 +63,7 @@ def facts(client: Client) -> dict:
         ({"azimuth": "0", "altitude": "-20"}, {}),
     ],
 )
-def test_the_plan_of_a_view_is_the_plan_of_its_facts(client: Client, seen: dict, asked: dict):
+def test_plan_of_a_view_equals_that_of_its_descriptor(client: Client, seen: dict, asked: dict):
     of_view = client.get(PLAN, params={**seen, **asked})
     described = client.get(FACTS, params=seen)
     assert of_view.status_code == described.status_code == 200, (of_view.text, described.text)
@@ -74,13 +74,13 @@ def test_the_plan_of_a_view_is_the_plan_of_its_facts(client: Client, seen: dict,
     Descriptor.model_validate_json(described.content)
 
 
-def test_what_is_asked_is_in_the_plan(client: Client, facts: dict):
+def test_plan_contains_the_requested_options(client: Client, facts: dict):
     plan = client.post("/plan", params={"max_error": 0.01, "max_ms": 7, "algorithm": "hybrid"}, json=facts).json()
     assert (plan["target"]["max_error"], plan["target"]["max_ms"], plan["algorithm"]) == (0.01, 7, {"sun": {"relief": "hybrid"}})
     assert "set by the request" in plan["reasons"][0]["reason"]
 
 
-def test_an_uncalibrated_device_says_so(client: Client, facts: dict):
+def test_plan_reports_an_uncalibrated_device(client: Client, facts: dict):
     for plan in (client.get(PLAN).json(), client.post("/plan", json=facts).json()):
         assert plan["policy"] == "rules" and any("not calibrated" in one["reason"] for one in plan["reasons"])
     by_rules = client.get(PLAN, params={"policy": "rules"}).json()
@@ -106,14 +106,14 @@ def test_an_uncalibrated_device_says_so(client: Client, facts: dict):
         ("max_ms=1&max_ms=2", "max_ms", "more than once"),
     ],
 )
-def test_wrong_parameters(client: Client, facts: dict, query: str, parameter: str, said: str):
+def test_plan_names_wrong_parameters(client: Client, facts: dict, query: str, parameter: str, said: str):
     for answer in (client.get(f"{PLAN}?{query}"), client.post(f"/plan?{query}", json=facts)):
         problem = check_problem(answer, 422, "invalid_parameter", parameter)
         assert said in problem["detail"] or said in str(problem)
 
 
 @pytest.mark.parametrize("query", ["time=2024-06-21T12:00:00Z", "azimuth=1", "view=map", "zoom=3"])
-def test_a_descriptor_has_its_own_sun_and_view(client: Client, facts: dict, query: str):
+def test_posted_descriptor_excludes_sun_and_view(client: Client, facts: dict, query: str):
     check_problem(client.post(f"/plan?{query}", json=facts), 422, "invalid_parameter", query.split("=")[0])
 
 
@@ -142,7 +142,7 @@ def test_a_descriptor_has_its_own_sun_and_view(client: Client, facts: dict, quer
         ({"level": "hills"}, "level"),
     ],
 )
-def test_impossible_facts_are_refused_by_name(client: Client, facts: dict, changes: dict, parameter: str):
+def test_invalid_facts_are_refused_by_name(client: Client, facts: dict, changes: dict, parameter: str):
     problem = check_problem(client.post("/plan", json={**facts, **changes}), 422, "invalid_parameter", parameter)
     remedy = "missing. Give a value." if parameter == "facts.clouds.taken" else "Allowed: "
     assert parameter in problem["detail"] and remedy in problem["detail"]
@@ -151,7 +151,7 @@ def test_impossible_facts_are_refused_by_name(client: Client, facts: dict, chang
 LAMP = {"kind": "omni", "cutoff_deg": 180, "reference_m": 10}
 
 
-def test_lamps_are_bounded_and_planned_by_a_render_process(client: Client, facts: dict):
+def test_lamps_are_bounded_and_planned_by_a_worker(client: Client, facts: dict):
     lamps = [{"name": f"lamp {n}", **LAMP} for n in range(5000)]
     check_problem(client.post("/plan", json={**facts, "lamps": lamps}), 422, "invalid_parameter", "lamps")
     before = client.service.pool.counters.answered
@@ -180,8 +180,8 @@ WRONG_KIND = st.dictionaries(
 
 @given(made_up=RIGHT_KIND | WRONG_KIND, view_kind=st.sampled_from(["map", "perspective"]))
 @settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_whatever_facts_are_accepted_can_be_planned(facts: dict, made_up: dict, view_kind: str):
-    """As a render process does it, without the process: effects' predicates may not fail on what the model lets through."""
+def test_all_accepted_facts_can_be_planned(facts: dict, made_up: dict, view_kind: str):
+    """The effects' predicates must not fail on facts that the model accepts. The worker's job runs in this process."""
     kept = {effect: {**facts["facts"].get(effect, {}), **values} for effect, values in made_up.items()}
     try:
         sent = SentDescriptor.model_validate({**facts, "view_kind": view_kind, "facts": {**facts["facts"], **kept}})
@@ -195,26 +195,26 @@ def test_whatever_facts_are_accepted_can_be_planned(facts: dict, made_up: dict, 
     ("body", "parameter"),
     [(b"", "body"), (b"[]", "body"), (b"{", "body"), (b"3", "body"), (b'{"view": NaN}', "view"), (b"{}", "view")],
 )
-def test_bodies_that_are_no_descriptor(client: Client, body: bytes, parameter: str):
+def test_body_that_is_no_descriptor_is_refused(client: Client, body: bytes, parameter: str):
     answer = client.post("/plan", content=body, headers={"Content-Type": "application/json"})
     check_problem(answer, 422, "invalid_parameter", parameter)
 
 
 @pytest.mark.parametrize("number", [5e-324, 1e-13, 3.5e307, -1e16, 10**400], ids=str)
-def test_numbers_of_no_scene_are_refused_by_their_place(client: Client, facts: dict, number: float):
-    """Arithmetic with them ended in infinities, and a plan of them in an error of ours."""
+def test_extreme_numbers_are_refused_by_name(client: Client, facts: dict, number: float):
+    """Arithmetic with them once overflowed to infinity, and the plan failed with an internal error."""
     answer = client.post("/plan", json={**facts, "pixel_m": number})
     check_problem(answer, 422, "invalid_parameter", "body")
     assert "pixel_m" in answer.json()["detail"]
 
 
-def test_a_missing_fact_is_named(client: Client, facts: dict):
+def test_missing_fact_is_named(client: Client, facts: dict):
     check_problem(
         client.post("/plan", json={key: facts[key] for key in facts if key != "node_m"}), 422, "invalid_parameter", "node_m"
     )
 
 
-def test_a_body_that_is_too_large(client: Client):
+def test_body_over_the_limit_is_413(client: Client):
     limit = Settings().max_body_bytes
     check_problem(client.post("/plan", content=b" " * (limit + 1)), 413, "too_large", "body")
 
@@ -237,12 +237,12 @@ def test_a_body_that_is_too_large(client: Client):
         ("view=ridge", 422, "invalid_parameter", "view"),
     ],
 )
-def test_views_and_zooms_that_are_not_there(client: Client, query: str, status: int, code: str, parameter: str):
+def test_unknown_views_and_zooms_are_refused(client: Client, query: str, status: int, code: str, parameter: str):
     for address in (PLAN, FACTS):
         check_problem(client.get(f"{address}?{query}"), status, code, parameter)
 
 
-def test_pages_of_other_origins_may_send_a_descriptor(client: Client):
+def test_cors_allows_posting_a_descriptor(client: Client):
     asked = {
         "Origin": "https://map.example",
         "Access-Control-Request-Method": "POST",
@@ -252,7 +252,7 @@ def test_pages_of_other_origins_may_send_a_descriptor(client: Client):
     assert answer.status_code == 200 and "POST" in answer.headers["access-control-allow-methods"]
 
 
-def test_documentation(client: Client):
+def test_openapi_documents_plans(client: Client):
     document = client.get("/openapi.json").json()
     schemas, paths = document["components"]["schemas"], document["paths"]
 
@@ -270,7 +270,7 @@ def test_documentation(client: Client):
 
 
 def calibrated(pipe, config) -> None:
-    """An obedient worker whose device has a calibration."""
+    """Run a fake worker whose device is calibrated."""
     from skugga.api.workers.jobs import Ready
 
     class Pipe:
@@ -292,14 +292,14 @@ def tag(client: Client) -> str:
     return answer.headers["etag"]
 
 
-def test_pictures_of_another_calibration_have_other_tags(serve_with):
+def test_etags_depend_on_the_calibration(serve_with):
     plain, other = serve_with(fake_workers.obedient), serve_with(calibrated)
     assert tag(plain) != tag(other)
     assert other.service.pool.plan_version(None) == profile_digest(profile()) != profile_digest(profile(took_s=2.0))
     assert plain.service.pool.plan_version(None) == ""
 
 
-def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
+def test_tiles_of_a_zoom_share_one_cached_plan(gl, hills_level):
     from skugga.api.workers.jobs import BlockJob, LevelKey
     from skugga.api.workers.worker_state import plan_of_tiles
 
@@ -314,7 +314,7 @@ def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
     made = [plan_of_tiles(job, scene, state) for job in jobs]
     assert made[0] is made[1]
     assert made[0].model_copy(update={"reasons": plans[0].reasons}) == plans[0]
-    tiles = tiles_view(scene, Tiles(matrix_set="WebMercatorQuad", zoom=ZOOM))
+    tiles = representative_block(scene, Tiles(matrix_set="WebMercatorQuad", zoom=ZOOM))
     assert (tiles.row0 // 1024, tiles.col0 // 1024) in {(357, 535), (357, 536), (358, 535), (358, 536)}
     other = plan_of_tiles(jobs[0].model_copy(update={"zoom": ZOOM - 1}), scene, state)
     assert other is not made[0]
@@ -323,7 +323,7 @@ def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
     assert by_predictions.reasons != made[0].reasons and plan_of_tiles(jobs[1], scene, state) is by_predictions
 
 
-def test_plans_that_were_not_used_for_long_are_forgotten():
+def test_plan_cache_evicts_the_least_recently_used():
     kept, made = TilePlanCache(limit_bytes=2 * bytes_of("plan 1")), []
 
     def plan_of(key: int) -> str:

@@ -1,4 +1,4 @@
-"""The sun at points over HTTP."""
+"""Reports of the sun at points."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def here(client: Client) -> str:
     return f"lon={(west + east) / 2:.5f}&lat={(south + north) / 2:.5f}"
 
 
-def test_a_report(client: Client):
+def test_point_report_is_consistent(client: Client):
     answer = client.get(f"{POINT}?{here(client)}&time=2024-12-01T09:00:00%2B01:00&height=2")
     assert answer.status_code == 200, answer.text
     report = answer.json()
@@ -38,8 +38,8 @@ def test_a_report(client: Client):
     assert again.status_code == 304
 
 
-def test_without_a_time_and_a_date_the_day_is_today(client: Client):
-    """And the answer is fresh until the day may be over, under another tag from then on."""
+def test_point_day_defaults_to_today(client: Client):
+    """The answer expires before the day can be over, and the next day has another ETag."""
     url = f"{POINT}?{here(client)}&clock=utc"
     before = datetime.now(UTC).date()
     answer = client.get(url)
@@ -53,7 +53,7 @@ def test_without_a_time_and_a_date_the_day_is_today(client: Client):
     assert tomorrow.status_code == 200 and date.fromisoformat(tomorrow.json()["day"]["date"]) == later.date()
 
 
-def test_off_the_data_is_null_and_why(client: Client):
+def test_point_off_the_data_is_null_with_a_remark(client: Client):
     answer = client.get(f"{POINT}?lon=0&lat=0&time=2024-12-01T09:00:00%2B01:00")
     report = answer.json()
     assert answer.status_code == 200 and report["lon"] == report["lat"] == 0.0
@@ -63,7 +63,7 @@ def test_off_the_data_is_null_and_why(client: Client):
         check_problem(client.get(f"{POINT}/{file}?lon=0&lat=0"), 422, "invalid_parameter", "point")
 
 
-def test_horizon_files_and_charts(client: Client):
+def test_horizon_and_chart_formats_agree(client: Client):
     where = here(client)
     series = pandas.read_csv(io.StringIO(client.get(f"{POINT}/horizon.csv?{where}&format=pvlib").text), index_col=0)
     assert series.index.name == "horizon_azimuth" and len(series) == 720
@@ -79,7 +79,7 @@ def test_horizon_files_and_charts(client: Client):
     assert svg.text.lstrip().startswith("<?xml") and svg.headers["content-type"].startswith("image/svg+xml")
 
 
-def test_the_figures_of_a_sky_are_those_of_its_horizon_and_of_its_day(client: Client):
+def test_sky_agrees_with_horizon_and_day(client: Client):
     where = f"{here(client)}&time=2024-12-01T09:00:00%2B01:00"
     sky = client.get(f"{POINT}/sun.json?{where}").json()
     profile = client.get(f"{POINT}/horizon.json?{where}").json()["outputs"]["horizon_profile"]
@@ -100,7 +100,7 @@ def test_the_figures_of_a_sky_are_those_of_its_horizon_and_of_its_day(client: Cl
     assert len(path) == pytest.approx(day["daylight_h"] * 12, abs=1)
 
 
-def test_many_points(client: Client):
+def test_many_points_agree_with_single_points(client: Client):
     west, south, east, north = client.get("/levels/hills").json()["bounds"]
     lon, lat = (west + east) / 2, (south + north) / 2
     points = [{"lon": lon + 0.001 * n, "lat": lat} for n in range(5)] + [{"lon": 0.0, "lat": 0.0}]
@@ -127,7 +127,7 @@ def test_many_points(client: Client):
         (f"{HERE}&azimuth=3", "azimuth"),
     ],
 )
-def test_wrong_parameters_are_named(client: Client, query: str, parameter: str):
+def test_point_names_wrong_parameters(client: Client, query: str, parameter: str):
     if query.startswith(HERE):
         query = query.replace(HERE, here(client))
     answer = client.get(f"{POINT}?{query}")
@@ -135,7 +135,7 @@ def test_wrong_parameters_are_named(client: Client, query: str, parameter: str):
     assert answer.json()["parameter"] == parameter and answer.json()["code"] == "invalid_parameter"
 
 
-def test_what_is_too_much_or_of_another_suffix(client: Client):
+def test_point_refuses_excess_and_wrong_formats(client: Client):
     check_problem(client.get(f"{POINT}/horizon.csv?{here(client)}&format=hor"), 422, "invalid_parameter", "format")
     many = {"points": [{"lon": 8.0, "lat": 47.0}] * 10_001}
     check_problem(client.post(POINT, json=many), 422, "invalid_parameter", "points")
@@ -143,9 +143,10 @@ def test_what_is_too_much_or_of_another_suffix(client: Client):
     check_problem(client.get(f"/levels/nowhere/point?{HERE}"), 404, "not_found", "level")
 
 
-def test_suns_of_masks_and_of_points_agree(client: Client):
-    """Pixels of a tile of the mask, and the same places as points: but for the surface between the cells, which the tile samples at
-    its own pixels.
+def test_mask_tile_agrees_with_points(client: Client):
+    """Pixels of a mask tile are compared with points at the same places.
+
+    They agree but for the surface between the cells, which the tile samples at its own pixels.
     """
     west, south, east, north = client.get("/levels/hills").json()["bounds"]
     from morecantile import tms

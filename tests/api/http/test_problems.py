@@ -1,4 +1,4 @@
-"""Every error over HTTP is a problem document that names the parameter to blame."""
+"""Every HTTP error is a problem document that names the wrong parameter."""
 
 import json
 import socket
@@ -52,7 +52,7 @@ def check_problem(answer: httpx.Response, status: int, code: str, parameter: str
         ("nothing", None, ""),
     ],
 )
-def test_not_found(client: Client, address: str, parameter: str | None, said: str):
+def test_unknown_resources_are_404(client: Client, address: str, parameter: str | None, said: str):
     problem = check_problem(client.get(address), 404, "not_found", parameter)
     assert said in problem["detail"]
 
@@ -107,32 +107,32 @@ def test_not_found(client: Client, address: str, parameter: str | None, said: st
         ("levels/hills/plan?page=2", "page", "2"),
     ],
 )
-def test_wrong_parameters(client: Client, address: str, parameter: str, said: str):
+def test_wrong_parameters_are_422_and_named(client: Client, address: str, parameter: str, said: str):
     problem = check_problem(client.get(address), 422, "invalid_parameter", parameter)
     assert parameter in problem["detail"]
     assert said in problem["detail"]
 
 
 @pytest.mark.parametrize("address", [TILE.replace("hills", "site"), TILEJSON.replace("hills", "site")])
-def test_a_flat_world_has_no_tiles(client: Client, address: str):
+def test_engineering_level_has_no_tiles(client: Client, address: str):
     problem = check_problem(client.get(address), 422, "unsupported", "level")
     assert "engineering CRS" in problem["detail"]
 
 
-def test_a_time_means_nothing_in_a_flat_world(client: Client):
+def test_engineering_level_refuses_a_time(client: Client):
     answer = client.get("levels/site/plan?time=2024-06-21T12:00:00Z")
     assert answer.status_code == 422
     assert "engineering" in answer.json()["detail"]
 
 
-def test_other_methods(client: Client):
+def test_other_methods_are_405(client: Client):
     for method in ("POST", "PUT", "DELETE"):
         answer = client.request(method, "levels")
         check_problem(answer, 405, "method_not_allowed", None)
         assert "GET" in answer.headers["allow"]
 
 
-def test_a_level_that_breaks_while_it_is_served_is_not_the_clients_fault(hills_level: Path, tmp_path: Path):
+def test_level_broken_while_served_is_500(hills_level: Path, tmp_path: Path):
     path = write_level(tmp_path, "soon_broken")
     with running(create_app(Settings(workers=1, level_check_s=0), [hills_level, path], fake_workers.obedient)) as client:
         path.write_text("version: 7", encoding="utf-8")
@@ -145,8 +145,8 @@ SECRETS = "/srv/levels/hills.tif", "libEGL.so.1: cannot open", "Traceback (most 
 
 
 @pytest.mark.parametrize("kind", sorted(OUTCOMES, key=lambda kind: kind.__name__), ids=lambda kind: kind.__name__)
-def test_no_error_tells_what_is_the_operators_own(kind: type[SkuggaError]):
-    """Of errors that are not the client's, messages have paths and drivers' words in them: the answer has none of that."""
+def test_problems_leak_no_internal_details(kind: type[SkuggaError]):
+    """Messages of errors that the client did not cause hold paths and drivers' texts; the answer must hold none of them."""
     outcome = OUTCOMES[kind]
     if outcome.public is None:
         assert outcome.status < 500 or issubclass(kind, BusyError | RenderTimeoutError), "its message is made for clients"
@@ -161,8 +161,8 @@ def test_no_error_tells_what_is_the_operators_own(kind: type[SkuggaError]):
     assert "/" not in outcome.public
 
 
-def test_a_request_that_the_server_cannot_read_is_a_problem_too(client: Client):
-    """Refused before any route is looked for."""
+def test_unparsable_request_is_a_problem_document(client: Client):
+    """The server refuses these requests before it looks for a route."""
     address = client.base_url.host, client.base_url.port
     for request, status, code in (
         (b"get /levels HTTP/1.1\r\n\r\n", 400, "bad_request"),
@@ -195,12 +195,12 @@ def test_a_request_that_the_server_cannot_read_is_a_problem_too(client: Client):
         (b'{"points": [{"lon": 8.43, "lat": 47.5}], "clock": "\\ud800"}', 422, "clock", "unicode"),
     ],
 )
-def test_hostile_bodies(client: Client, body: bytes, status: int, parameter: str, said: str):
+def test_hostile_bodies_are_refused(client: Client, body: bytes, status: int, parameter: str, said: str):
     answer = client.post("levels/hills/point", content=body, headers={"Content-Type": "application/json"})
     code = {400: "bad_request", 422: "invalid_parameter"}[status]
     assert said in check_problem(answer, status, code, parameter)["detail"]
 
 
-def test_a_body_that_is_not_sent_as_json(client: Client):
+def test_body_with_another_content_type_is_refused(client: Client):
     answer = client.post("levels/hills/point", content=b'{"points": []}', headers={"Content-Type": "text/plain"})
     assert "Content-Type" in answer.json()["detail"].replace("application/json", "") and answer.json()["parameter"] == "body"

@@ -1,4 +1,4 @@
-"""Time has a grain, ``current`` is now and is soon stale, and one client may not ask for any number of suns."""
+"""Request times are rounded to a grain, ``current`` means now and expires soon, and new suns of a client are rate limited."""
 
 import re
 from datetime import UTC, datetime, timedelta, timezone
@@ -22,7 +22,7 @@ DAY = "2024-06-21T"
     ("given", "grain_s", "expected"),
     [("12:00:29", 60, "12:00:00"), ("12:00:30", 60, "12:01:00"), ("12:07:29", 900, "12:00:00"), ("12:00:29", 0, "12:00:29")],
 )
-def test_rounding(given: str, grain_s: int, expected: str):
+def test_rounded_time_rounds_to_the_grain(given: str, grain_s: int, expected: str):
     for offset in (UTC, timezone(timedelta(hours=-4))):
         moment = datetime.fromisoformat(DAY + given).replace(tzinfo=offset)
         rounded = rounded_time(moment, grain_s)
@@ -31,14 +31,14 @@ def test_rounding(given: str, grain_s: int, expected: str):
 
 
 @given(st.datetimes(timezones=st.just(UTC)), st.integers(1, 86400))
-def test_rounding_moves_by_half_a_grain_at_most_and_once(moment: datetime, grain_s: int):
+def test_rounded_time_moves_half_a_grain_and_only_once(moment: datetime, grain_s: int):
     rounded = rounded_time(moment, grain_s)
     assert rounded == moment or abs((rounded - moment).total_seconds()) <= grain_s / 2
     if rounded.year not in (1, 9999):
         assert rounded_time(rounded, grain_s) == rounded
 
 
-def test_times_within_a_grain_are_one_picture_that_names_its_time(serve_with):
+def test_times_within_a_grain_share_one_tile(serve_with):
     client = serve_with(fake_workers.obedient)
     first, second = (client.get(TILE, params={"time": f"{DAY}12:00:{s}+02:00"}) for s in ("05", "20"))
     assert first.status_code == 200
@@ -54,12 +54,12 @@ def test_times_within_a_grain_are_one_picture_that_names_its_time(serve_with):
     assert "x-skugga-time" not in client.get(TILE).headers
 
 
-def test_the_grain_is_a_setting(serve_with):
+def test_time_grain_is_a_setting(serve_with):
     client = serve_with(fake_workers.obedient, time_grain_s=0)
     assert client.get(TILE, params={"time": f"{DAY}12:00:05+02:00"}).headers["x-skugga-time"] == f"{DAY}12:00:05+02:00"
 
 
-def test_current_is_now_and_soon_stale(serve_with):
+def test_current_time_is_now_and_expires_soon(serve_with):
     client = serve_with(fake_workers.obedient)
     before = datetime.now(UTC)
     for _ in range(2):
@@ -75,7 +75,7 @@ def test_current_is_now_and_soon_stale(serve_with):
     check_problem(client.get(TILE, params={"time": "current", "azimuth": 1, "altitude": 2}), 422, "invalid_parameter", "time")
 
 
-def test_an_address_that_means_now_is_not_remembered(serve_with, monkeypatch: pytest.MonkeyPatch):
+def test_current_time_is_resolved_for_each_request(serve_with, monkeypatch: pytest.MonkeyPatch):
     from skugga.api.http import request_times
 
     class Clock(datetime):
@@ -94,7 +94,7 @@ def test_an_address_that_means_now_is_not_remembered(serve_with, monkeypatch: py
     assert (one.headers["x-skugga-time"], other.headers["x-skugga-time"]) == (f"{DAY}12:00:00+00:00", f"{DAY}12:02:00+00:00")
 
 
-def test_new_suns_of_a_client_are_bounded_and_known_ones_are_not():
+def test_rate_limiter_bounds_new_suns_only():
     now = [0.0]
     suns = RateLimiter(3, lambda: now[0])
     for sun in ("a", "b", "c", "a", "b"):
@@ -110,7 +110,7 @@ def test_new_suns_of_a_client_are_bounded_and_known_ones_are_not():
         suns.acquire("10.0.0.1", "e")
 
 
-def test_no_limit_of_suns():
+def test_rate_limiter_of_zero_is_off():
     suns = RateLimiter(0)
     for sun in range(10_000):
         suns.acquire("10.0.0.1", sun)
@@ -126,7 +126,7 @@ def test_no_limit_of_suns():
         ("a socket", "a socket", True),
     ],
 )
-def test_a_customers_network_is_one_client(one: str, other: str, same: bool):
+def test_network_of_groups_a_customers_addresses(one: str, other: str, same: bool):
     assert (network_of(one) == network_of(other)) == same
 
 

@@ -1,4 +1,4 @@
-"""The service as a process of its own: what it loads, how it starts and how it stops."""
+"""The service as a process: what it loads, how it starts and how it stops."""
 
 import re
 import signal
@@ -50,7 +50,7 @@ if __name__ == "__main__":
 def serving(
     levels: Sequence[Path], until: str, environment: dict[str, str] | None = None
 ) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A serving process that has logged what matches ``until``, and the match's group; killed at the end."""
+    """Yield a serving process that has logged a match of ``until``, and the match's first group; kill it at the end."""
     command = [sys.executable, "-c", SERVE, *map(str, levels)]
     with subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -73,7 +73,7 @@ def alive(pid: int) -> bool:
 
 
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
-def test_a_signal_ends_it_and_leaves_no_process_behind(hills_level: Path, number: signal.Signals):
+def test_signal_ends_service_and_worker(hills_level: Path, number: signal.Signals):
     with serving([hills_level], r"render process (\d+) ready") as (process, worker):
         process.send_signal(number)
         _, said = process.communicate(timeout=SOON_S)
@@ -82,7 +82,7 @@ def test_a_signal_ends_it_and_leaves_no_process_behind(hills_level: Path, number
         assert not alive(int(worker))
 
 
-def test_a_signal_while_it_starts_ends_it_too(hills_level: Path):
+def test_signal_during_start_ends_the_service(hills_level: Path):
     with serving([hills_level], r"on (http://\S+)") as (process, address):
         assert httpx.get(f"{address}/healthz").status_code == 200
         for number in (signal.SIGUSR1, signal.SIGHUP):
@@ -95,21 +95,21 @@ def test_a_signal_while_it_starts_ends_it_too(hills_level: Path):
         assert "SIGUSR1" in said and "SIGHUP" in said
 
 
-def test_render_processes_end_with_a_service_that_is_killed(hills_level: Path):
+def test_worker_ends_with_a_killed_service(hills_level: Path):
     with serving([hills_level], r"render process (\d+) ready") as (process, worker):
         process.kill()
-        # It has its end of the error pipe open until it is gone itself, which it is soon as its own pipe is closed.
+        # The worker holds its end of the error pipe open until it ends, which is soon after its own pipe is closed.
         process.communicate(timeout=SOON_S)
         assert not alive(int(worker))
 
 
-def test_the_services_process_has_no_opengl(hills_level: Path, client):
+def test_service_process_has_no_opengl(hills_level: Path, client):
     timed = hills_level.with_name("timed.yaml")
     done = subprocess.run([sys.executable, "-c", LOOK_INSIDE, str(timed)], cwd=ROOT, capture_output=True, text=True, timeout=SOON_S)
     assert done.returncode == 0, done.stderr
 
 
-def test_a_wrong_level_ends_it_at_once(tmp_path: Path):
+def test_invalid_level_ends_the_service_at_once(tmp_path: Path):
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("version: 7\nterrain: {source: dem.tif}", encoding="utf-8")
     script = "import sys; from skugga.api.cli.main import main; sys.argv = ['skugga', 'serve', sys.argv[1]]; main()"

@@ -1,3 +1,5 @@
+"""Levels of a service: versions, errors, pins, and the cache of scenes."""
+
 import json
 import os
 from pathlib import Path
@@ -39,11 +41,11 @@ def test_bundled_levels_can_be_served():
     assert all(bool(level.zooms) != level.world.flat for level in levels.all())
 
 
-def test_the_same_files_are_the_same_version(path: Path):
+def test_equal_files_have_equal_versions(path: Path):
     assert ServedLevels([path]).get("hills").version == ServedLevels([path]).get("hills").version
 
 
-def test_a_changed_raster_is_another_version(path: Path):
+def test_changed_raster_changes_the_version(path: Path):
     levels = ServedLevels([path])
     before = levels.get("hills")
     assert levels.get("hills") is before
@@ -51,8 +53,8 @@ def test_a_changed_raster_is_another_version(path: Path):
     assert levels.get("hills").version != before.version
 
 
-def test_a_changed_raster_under_mosaics_is_another_version(path: Path):
-    """The level names a VRT of a VRT: only GDAL knows what that reads."""
+def test_changed_raster_in_a_nested_vrt_changes_the_version(path: Path):
+    """The level names a VRT of a VRT; only GDAL knows which files that reads."""
     raster, inner, outer = path.with_suffix(".tif"), path.with_name("inner.vrt"), path.with_name("outer.vrt")
     rasterio.shutil.copy(raster, inner, driver="VRT")
     outer.write_text(inner.read_text().replace(raster.name, inner.name), encoding="utf-8")
@@ -65,7 +67,7 @@ def test_a_changed_raster_under_mosaics_is_another_version(path: Path):
 
 
 @pytest.mark.parametrize("ending", [".tif.aux.xml", ".tif.ovr", ".tfw", ".tif.msk"])
-def test_a_file_that_appears_beside_a_raster_is_another_version(path: Path, ending: str):
+def test_new_sidecar_file_changes_the_version(path: Path, ending: str):
     levels = ServedLevels([path])
     before = levels.get("hills").version
     beside = path.with_name(f"hills{ending}")
@@ -73,7 +75,7 @@ def test_a_file_that_appears_beside_a_raster_is_another_version(path: Path, endi
     assert levels.get("hills").version != before
 
 
-def test_a_raster_that_is_replaced_by_one_of_the_same_time_and_size_is_another_version(path: Path):
+def test_replaced_raster_of_equal_time_and_size_is_noticed(path: Path):
     levels, raster = ServedLevels([path]), path.with_suffix(".tif")
     before, status = levels.get("hills").version, raster.stat()
     other = raster.with_suffix(".new")
@@ -84,7 +86,7 @@ def test_a_raster_that_is_replaced_by_one_of_the_same_time_and_size_is_another_v
     assert levels.get("hills").version != before
 
 
-def test_a_changed_level_is_another_version_and_read_anew(path: Path):
+def test_changed_level_file_is_read_again(path: Path):
     levels = ServedLevels([path])
     before = levels.get("hills").version
     path.write_text(json.dumps({**json.loads(path.read_text()), "title": "Other hills"}), encoding="utf-8")
@@ -92,7 +94,7 @@ def test_a_changed_level_is_another_version_and_read_anew(path: Path):
     assert levels.get("hills").summary()["title"] == "Other hills"
 
 
-def test_a_broken_level_says_so_until_it_is_mended(path: Path):
+def test_broken_level_fails_until_it_is_repaired(path: Path):
     levels = ServedLevels([path])
     text = path.read_text()
     path.write_text("version: 7", encoding="utf-8")
@@ -104,7 +106,7 @@ def test_a_broken_level_says_so_until_it_is_mended(path: Path):
     assert levels.get("hills").name == "hills"
 
 
-def test_an_unknown_level_is_answered_with_the_known_ones(path: Path):
+def test_unknown_level_error_lists_the_known_ones(path: Path):
     with pytest.raises(NotFoundError, match="hills"):
         ServedLevels([path]).get("mountains")
 
@@ -143,7 +145,7 @@ def tight(folder: Path) -> Path:
         (tight, LevelError, "stable"),
     ],
 )
-def test_a_level_that_cannot_be_served_is_wrong_input_that_names_it(tmp_path: Path, make, error, said: str):
+def test_unservable_level_is_an_error_that_names_it(tmp_path: Path, make, error, said: str):
     with pytest.raises(error) as caught:
         ServedLevels([make(tmp_path)])
     assert "wrong" in str(caught.value) and said in str(caught.value)
@@ -160,12 +162,12 @@ def test_a_level_that_cannot_be_served_is_wrong_input_that_names_it(tmp_path: Pa
         ({"sun_altitude_deg": [9, 12], "map_size": 512}, (": 'view map, sun 9 to 12 degrees high'", "shadows.pins.0")),
     ],
 )
-def test_a_pin_that_cannot_be_served_is_one_error_that_names_it(tmp_path: Path, pin: dict, words: tuple[str, ...]):
+def test_unservable_pin_is_one_error_that_names_it(tmp_path: Path, pin: dict, words: tuple[str, ...]):
     level = write_level(tmp_path, "hills")
     levels, text = ServedLevels([level]), json.loads(level.read_text())
     first = {"view": "map", "sun_altitude_deg": [5, 20], "map_size": 512}
     write_level(tmp_path, "hills", shadows={"pins": [first, {"view": "map", **pin}]})
-    for look in (lambda: ServedLevels([level]), lambda: levels.get("hills")):  # when it is loaded, and when it is looked at again
+    for look in (lambda: ServedLevels([level]), lambda: levels.get("hills")):  # on load, and on a later check
         with pytest.raises(LevelError) as caught:
             look()
         said = str(caught.value)
@@ -175,7 +177,7 @@ def test_a_pin_that_cannot_be_served_is_one_error_that_names_it(tmp_path: Path, 
     assert levels.get("hills").loaded.level.shadows.pins[0].map_size == 512
 
 
-def test_a_pin_of_an_algorithm_that_refuses_the_view_is_told_of_by_validation_and_in_answers(tmp_path: Path):
+def test_pin_unsupported_in_its_view_is_reported(tmp_path: Path):
     pins = [{"view": "map", "sun_altitude_deg": [5, 20], "map_size": 512}, {"view": "map", "algorithm": "perspective_shadow_map"}]
     level = write_level(tmp_path, "hills", shadows={"pins": pins})
     with pytest.raises(UnsupportedError) as caught:
@@ -188,19 +190,19 @@ def test_a_pin_of_an_algorithm_that_refuses_the_view_is_told_of_by_validation_an
         assert client.get("/levels/hills/plan?view=map&altitude=12&azimuth=200").status_code == 200
 
 
-def test_remote_sources_may_be_allowed(tmp_path: Path):
+def test_remote_sources_can_be_allowed(tmp_path: Path):
     with pytest.raises(SkuggaError) as caught:
         ServedLevels([write_level(tmp_path, "far", terrain={"source": "/vsimem/nothing/far.tif"})], remote_sources=True)
-    assert isinstance(caught.value, SourceError)  # it was looked for
+    assert isinstance(caught.value, SourceError)  # GDAL has looked for it
 
 
-def test_two_levels_of_one_name(path: Path, tmp_path: Path):
+def test_two_levels_of_one_name_are_refused(path: Path, tmp_path: Path):
     (tmp_path / "other").mkdir()
     with pytest.raises(InputError, match="hills"):
         ServedLevels([path, write_level(tmp_path / "other", "hills")])
 
 
-def test_scenes_are_kept_until_their_version_changes(path: Path):
+def test_scene_cache_keeps_a_scene_of_a_version(path: Path):
     scenes = SceneCache()
     first = scenes.get(LevelKey(path=path, version="1"))
     assert scenes.get(LevelKey(path=path, version="1")) is first
@@ -209,7 +211,7 @@ def test_scenes_are_kept_until_their_version_changes(path: Path):
     assert second.height_range_m[1] == pytest.approx(first.height_range_m[1] + 100, abs=0.1)
 
 
-def test_scenes_are_bounded(tmp_path: Path):
+def test_scene_cache_is_bounded(tmp_path: Path):
     scenes = SceneCache(limit=2)
     keys = [LevelKey(path=write_level(tmp_path, name), version="1") for name in ("a", "b", "c")]
     first, second, _ = (scenes.get(key) for key in keys)
@@ -219,7 +221,7 @@ def test_scenes_are_bounded(tmp_path: Path):
     assert len(scenes) == 2
 
 
-def test_a_scene_that_cannot_be_opened_is_asked_for_again(path: Path):
+def test_scene_cache_retries_after_an_error(path: Path):
     scenes, text = SceneCache(), path.read_text()
     path.write_text("version: 7", encoding="utf-8")
     with pytest.raises(LevelError):

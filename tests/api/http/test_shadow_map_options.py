@@ -1,4 +1,4 @@
-"""What may be asked of shadow maps and volumes, on the command line and over HTTP: it reaches the plan, or is refused by name."""
+"""Options of shadow maps and shadow volumes, on the command line and over HTTP, reach the plan or are refused by name."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
 
 @pytest.fixture
 def settings_of(monkeypatch, capsys, tmp_path: Path):
-    """``settings_of("--bias", "...")`` gives exit status, standard error and the settings that were drawn with."""
+    """Return ``settings_of("--bias", "...")``, which renders and returns exit status, standard error and the settings used."""
 
     def call(*arguments: str) -> tuple[int, str, dict]:
         stats = tmp_path / "stats.json"
@@ -41,7 +41,7 @@ def settings_of(monkeypatch, capsys, tmp_path: Path):
     [("filter", "sun", "sun"), ("filter", "2", 2), ("bias", "normal_offset", "normal_offset"),
      ("bias", "polygon_offset", "polygon_offset"), ("culling", "front", "front")],
 )  # fmt: skip
-def test_options_reach_the_map(gl, settings_of, key: str, value: str, drawn: str | int):
+def test_shadow_map_options_reach_the_plan(gl, settings_of, key: str, value: str, drawn: str | int):
     status, _, settings = settings_of(f"--{key}", value)
     assert status == 0 and settings[key] == drawn
 
@@ -54,7 +54,7 @@ def test_options_reach_the_map(gl, settings_of, key: str, value: str, drawn: str
         ("hybrid", "stencil", "two_pass"),
     ],
 )  # fmt: skip
-def test_options_reach_the_volumes(gl, settings_of, algorithm: str, key: str, value: str):
+def test_shadow_volume_options_reach_the_plan(gl, settings_of, algorithm: str, key: str, value: str):
     status, _, settings = settings_of("--algorithm", algorithm, f"--{key}", value)
     assert status == 0 and settings[key] == value
 
@@ -66,12 +66,12 @@ def test_options_reach_the_volumes(gl, settings_of, algorithm: str, key: str, va
         ("stencil", "three_pass", "'one_pass' or 'two_pass'"), ("counting", "z_pass", "'z_fail'"), ("mask", "paper", "'original'"),
     ],
 )  # fmt: skip
-def test_other_values_are_refused_with_those_that_are_right(settings_of, key: str, value: str, words: str):
+def test_invalid_options_list_the_allowed_values(settings_of, key: str, value: str, words: str):
     status, said, _ = settings_of(f"--{key}", value)
     assert status == 2 and said.count("\n") == 1 and key in said and value in said and words in said
 
 
-def test_a_request_s_wishes_hold_them():
+def test_picture_query_carries_the_options():
     given = {"filter": "sun", "bias": "normal_offset", "culling": "front"}
     given |= {"stencil": "two_pass", "counting": "z_fail", "mask": "original"}
     service = SimpleNamespace(settings=Settings())

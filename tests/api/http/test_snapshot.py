@@ -1,4 +1,4 @@
-"""Views that a request makes: stand here, look there."""
+"""Snapshots of views that a request defines by eye and target."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def pixels(client: Client, address: str = f"{SNAPSHOT}.png", **asked: str) -> np
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGB")).astype(int)
 
 
-def test_a_made_view_is_the_one_that_a_level_lists(client: Client, folder: Path):
+def test_requested_view_equals_a_view_of_the_level(client: Client, folder: Path):
     """The same numbers in a level file draw the same picture."""
     made = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0], "fov": 40}
     color = snapshot(write_level(folder, "viewed", views={"made": made}), "made", ProductRequest(), {}, (96, 64)).computed.array
@@ -33,7 +33,7 @@ def test_a_made_view_is_the_one_that_a_level_lists(client: Client, folder: Path)
     assert np.array_equal(asked, color[..., :3]) and len(np.unique(asked.reshape(-1, 3), axis=0)) > 100, "it is not blank"
 
 
-def test_eye_target_and_field_of_view_count(client: Client):
+def test_eye_target_and_fov_change_the_picture(client: Client):
     first = pixels(client, eye=EYE, target=TARGET)
     for other in (
         {"eye": "8.4300,47.5000,900", "target": TARGET}, {"eye": EYE, "target": "8.4100,47.5100,0"},
@@ -42,7 +42,7 @@ def test_eye_target_and_field_of_view_count(client: Client):
         assert np.abs(pixels(client, **other) - first).max() > 32, other
 
 
-def test_without_a_size_it_is_that_of_views_in_level_files(client: Client):
+def test_default_size_is_that_of_views_in_level_files(client: Client):
     answer = client.get(f"{SNAPSHOT}.jpg", params={"eye": EYE, "target": TARGET})
     assert Image.open(io.BytesIO(answer.content)).size == (1280, 1024)
 
@@ -67,7 +67,7 @@ def test_without_a_size_it_is_that_of_views_in_level_files(client: Client):
         ({"eye": EYE, "target": TARGET, "size": "9000x9000"}, "size", "WIDTHxHEIGHT"),
     ],
 )
-def test_what_is_wrong_is_named(client: Client, asked: dict[str, str], parameter: str, said: str):
+def test_wrong_camera_parameters_are_named(client: Client, asked: dict[str, str], parameter: str, said: str):
     answer = client.get(f"{SNAPSHOT}.png", params=asked)
     check_problem(answer, 422, "invalid_parameter", parameter)
     assert said in answer.json()["detail"]
@@ -78,7 +78,7 @@ def test_what_is_wrong_is_named(client: Client, asked: dict[str, str], parameter
     [("shadow_map", "shadow-map", 65535), ("shadow_volume", "stencil", 255), ("shadow_volume", "volumes", 255),
      ("hybrid", "silhouettes", 255)],
 )  # fmt: skip
-def test_what_passes_leave_behind(client: Client, algorithm: str, layer: str, most: int):
+def test_intermediate_layers_can_be_requested(client: Client, algorithm: str, layer: str, most: int):
     asked = {**SMALL, "eye": EYE, "target": TARGET, "algorithm": algorithm, "layer": layer}
     answer = client.get(f"{SNAPSHOT}.png", params=asked)
     assert answer.status_code == 200, answer.text
@@ -89,7 +89,7 @@ def test_what_passes_leave_behind(client: Client, algorithm: str, layer: str, mo
         assert values.shape == color.shape and not np.array_equal(values, color)
 
 
-def test_what_passes_do_not_have_is_told(client: Client):
+def test_missing_intermediate_layers_are_refused(client: Client):
     made = {"eye": EYE, "target": TARGET, "algorithm": "shadow_map"}
     assert "volumes" in client.get("/levels/hills").json()["layers_between"]
     answer = client.get(f"{SNAPSHOT}.png", params={**SMALL, **made, "layer": "volumes"})

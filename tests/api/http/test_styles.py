@@ -1,4 +1,4 @@
-"""Styles over HTTP: of tiles, maps and snapshots, as WMS and WMTS name them, and what does not hang on them."""
+"""Styles of tiles, maps and snapshots, also by WMS and WMTS; shadows and masks have none."""
 
 import io
 from xml.etree import ElementTree
@@ -29,7 +29,7 @@ def pixels(answer) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
 
 
-def test_each_style_is_another_picture_of_the_same_ground(client: Client):
+def test_styles_differ_in_colour_but_not_in_alpha(client: Client):
     pictures = {name: pixels(client.get(TILE, params={"style": name})) for name in STYLES}
     own = client.get("/levels/hills").json()["style"]
     assert np.array_equal(pictures[own], pixels(client.get(TILE)))
@@ -39,7 +39,7 @@ def test_each_style_is_another_picture_of_the_same_ground(client: Client):
     assert np.ptp(grey, axis=-1).max() <= 1
 
 
-def test_the_levels_own_style_has_a_name(client: Client):
+def test_default_style_of_a_level_has_a_name(client: Client):
     level = client.get("/levels/hills").json()
     assert level["styles"] == list(STYLES) and level["style"] in STYLES
     assert client.get(TILE, params={"style": "default"}).headers["etag"] == client.get(TILE).headers["etag"]
@@ -53,8 +53,8 @@ def test_shadows_have_no_style(client: Client):
         assert plain.headers["etag"] == styled.headers["etag"] and plain.content == styled.content
 
 
-def test_slopes_are_exaggerated_on_request(client: Client):
-    """Of ground that is lit in the same way as shown by the mask, light is spread wider."""
+def test_slope_exaggeration_spreads_the_shading(client: Client):
+    """On ground that the mask shows as lit, steeper slopes spread the shading wider."""
     high = {"azimuth": 235, "altitude": 60, "style": "analysis"}
     plain, steep = (pixels(client.get(TILE, params={**high, **more}))[..., 0] for more in ({}, {"slope_exaggeration": 3}))
     lit = pixels(client.get(TILE, params={**high, "layer": "mask"}))[..., 0] == 255
@@ -68,7 +68,7 @@ def test_maps_and_snapshots_have_styles(client: Client):
         assert np.ptp(pixels(grey)[..., :3].astype(int), axis=-1).max() <= 1
 
 
-def test_wms_and_wmts_name_them(client: Client):
+def test_wms_and_wmts_accept_styles(client: Client):
     for name in ("swiss", "analysis"):
         tile = client.get(TILE, params={"style": name})
         apart = np.abs(pixels(client.get("/wms", params={**WMS, "STYLES": name})).astype(int) - pixels(tile))
@@ -83,7 +83,7 @@ def test_wms_and_wmts_name_them(client: Client):
         assert client.get(address, params={**asked, **layer, key: "swiss"}).status_code in (400, 422), "a mask has one style"
 
 
-def test_capabilities_list_the_styles_of_colours_alone(client: Client):
+def test_capabilities_list_styles_of_color_only(client: Client):
     w, t = {"w": "http://www.opengis.net/wms"}, {"t": "http://www.opengis.net/wmts/1.0", "o": "http://www.opengis.net/ows/1.1"}
     wms = ElementTree.fromstring(client.get("/wms?SERVICE=WMS&REQUEST=GetCapabilities").content)
     wmts = ElementTree.fromstring(client.get("/wmts/1.0.0/WMTSCapabilities.xml").content)
@@ -111,7 +111,7 @@ def test_capabilities_list_the_styles_of_colours_alone(client: Client):
         ("style", "", "swiss"),
     ],
 )
-def test_what_is_no_style_is_told(client: Client, name: str, value: str, allowed: str):
+def test_invalid_styles_list_the_allowed_values(client: Client, name: str, value: str, allowed: str):
     answer = client.get(TILE, params={name: value})
     assert answer.status_code == 422
     assert name in answer.text and allowed in answer.text

@@ -1,4 +1,4 @@
-"""Hours of sun as tiles, with their legend."""
+"""Tiles of hours of sun, and their legend."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def picture(answer) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(answer.content)))
 
 
-def test_colours_are_the_hours_that_points_have(client: Client):
-    """By the other way to the same answer: horizons of points."""
+def test_sun_hours_tile_agrees_with_points(client: Client):
+    """Points compute the same hours in another way, from their horizons."""
     tile, answer = tile_of(client)
     shown = picture(answer)
     assert shown.shape == (256, 256, 4) and (shown[..., 3] == 255).all()
@@ -48,11 +48,11 @@ def test_colours_are_the_hours_that_points_have(client: Client):
     direct = np.array([each["direct_h"] for each in client.post("/levels/hills/point", json=asked).json()["points"]])
     by_color = of_hours[np.abs(colors - shown[rows, cols][:, None].astype(int)).sum(axis=2).argmin(axis=1)]
     assert direct.std() > 1.0
-    assert np.corrcoef(by_color, direct)[0, 1] > 0.95  # the tile's ground lies between the cells
+    assert np.corrcoef(by_color, direct)[0, 1] > 0.95  # the tile samples the ground between the cells
     assert np.abs(by_color - direct).mean() < 0.5
 
 
-def test_they_are_fresh_kept_and_of_their_date(client: Client):
+def test_sun_hours_tiles_are_cached_per_date(client: Client):
     _, answer = tile_of(client)
     _, again = tile_of(client)
     assert again.content == answer.content and "kept" in again.headers["server-timing"]
@@ -65,7 +65,7 @@ def test_they_are_fresh_kept_and_of_their_date(client: Client):
     assert (first != picture(answer)).any()
 
 
-def test_the_legend_is_a_picture_and_numbers(client: Client):
+def test_legend_is_a_picture_and_numbers(client: Client):
     said = client.get(f"/levels/hills/WebMercatorQuad/tilejson.json?{ASKED}&quantity=first&clock=%2B01:00").json()
     assert said["tiles"][0].endswith("?layer=sunhours&date=2024-12-21&quantity=first&clock=%2B01%3A00")
     legend = said["skugga"]["legend"]
@@ -88,16 +88,16 @@ def test_the_legend_is_a_picture_and_numbers(client: Client):
         ("layer=hours", "layer"),
     ],
 )  # fmt: skip
-def test_what_is_wrong(client: Client, query: str, name: str):
+def test_wrong_sun_hours_parameters_are_named(client: Client, query: str, name: str):
     check_problem(tile_of(client, query)[1], 422, "invalid_parameter", name)
 
 
-def test_of_layers_that_are_pictures_there_is_no_legend(client: Client):
+def test_picture_layers_have_no_legend(client: Client):
     check_problem(client.get("/levels/hills/legend.png?layer=mask"), 422, "invalid_parameter", "layer")
     check_problem(tile_of(client, ASKED, "jpg")[1], 422, "invalid_parameter", "format")
 
 
-def test_polar_night_has_a_scale_too(globe_at):
+def test_color_scale_is_valid_in_polar_night(globe_at):
     for lat, day in ((80.0, date(2024, 12, 21)), (80.0, date(2024, 6, 21)), (45.0, date(2024, 3, 21))):
         for quantity in ("hours", "first", "last", "longest", "days"):
             assert PRODUCT.color_scale is not None

@@ -1,4 +1,4 @@
-"""Tiles over HTTP, drawn by a real render process."""
+"""Tiles over HTTP, drawn by a real render worker."""
 
 import io
 import threading
@@ -47,14 +47,14 @@ def pixels(answer: httpx.Response) -> np.ndarray:
         ("webp", "color", "RGBA", "WEBP"), ("webp", "shadow", "RGBA", "WEBP"), ("jpg", "color", "RGB", "JPEG"),
     ],
 )  # fmt: skip
-def test_formats(client: Client, format: str, layer: str, mode: str, kind: str):
+def test_tile_formats_have_their_modes(client: Client, format: str, layer: str, mode: str, kind: str):
     answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.{format}", params={"layer": layer})
     image = picture(answer)
     assert (image.size, image.mode, image.format) == ((256, 256), mode, kind)
     assert answer.headers["content-type"] == f"image/{'jpeg' if format == 'jpg' else format}"
 
 
-def test_layers_say_the_same(client: Client):
+def test_color_shadow_and_mask_layers_agree(client: Client):
     color, shadow, mask = (pixels(client.get(TILE, params={"layer": layer})) for layer in ("color", "shadow", "mask"))
     assert {0, 255} <= set(np.unique(mask)) <= {0, 128, 255}
     valid = mask != 128
@@ -67,14 +67,14 @@ def test_layers_say_the_same(client: Client):
     assert 0.05 < partly[valid].mean() < 0.12 and ((alpha > 127) == (mask == 0))[partly].mean() > 0.94
 
 
-def test_webp_of_data_layers_is_without_loss(client: Client):
+def test_webp_of_data_layers_is_lossless(client: Client):
     for layer in ("shadow", "mask"):
         png, webp = (picture(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.{format}", params={"layer": layer})) for format in ("png", "webp"))
         assert np.array_equal(np.asarray(png.convert("RGBA")), np.asarray(webp.convert("RGBA")))
 
 
-def test_tiles_of_four_blocks_are_computed_as_one_map(client: Client, hills_level):
-    """2 x 2 tiles that meet at the corner of four blocks, byte by byte."""
+def test_tiles_of_four_blocks_equal_one_map(client: Client, hills_level):
+    """2 x 2 tiles meet at the corner of four blocks; each equals its part of the map byte by byte."""
     matrix_set = matrix_sets.get("WebMercatorQuad")
     northwest, southeast = matrix_set.xy_bounds(X - 1, Y - 1, ZOOM), matrix_set.xy_bounds(X, Y, ZOOM)
     scene = build_scene(load_level(hills_level))
@@ -91,8 +91,8 @@ def test_tiles_of_four_blocks_are_computed_as_one_map(client: Client, hills_leve
 
 
 @pytest.mark.parametrize("layer", MAP_PRODUCTS)
-def test_a_tile_is_the_same_pixels_of_a_larger_map(client: Client, layer: str):
-    """Of every product, whatever it is made of. Tiles of four blocks, but for hours of sun, whose blocks take seconds: of one."""
+def test_tiles_equal_the_pixels_of_a_larger_map(client: Client, layer: str):
+    """For every product, tiles of four blocks; for hours of sun, whose blocks take seconds, tiles of one block."""
     columns, rows = ((X, X + 1), (Y,)) if layer == "sunhours" else ((X - 1, X), (Y - 1, Y))
     matrix_set, format = matrix_sets.get("WebMercatorQuad"), "npy" if "npy" in PRODUCTS[layer].map_formats else "png"
     first, last = matrix_set.xy_bounds(columns[0], rows[0], ZOOM), matrix_set.xy_bounds(columns[-1], rows[-1], ZOOM)
@@ -111,7 +111,7 @@ def test_a_tile_is_the_same_pixels_of_a_larger_map(client: Client, layer: str):
     assert len(np.unique(whole[np.isfinite(whole)])) > 1, "it shows something"
 
 
-def test_a_double_tile_is_the_four_tiles_of_the_next_zoom(client: Client):
+def test_2x_tile_equals_four_tiles_of_the_next_zoom(client: Client):
     double = pixels(client.get(f"{TILES}/{ZOOM}/{X}/{Y}@2x.png"))
     assert double.shape == (512, 512, 4)
     for row in range(2):
@@ -120,7 +120,7 @@ def test_a_double_tile_is_the_four_tiles_of_the_next_zoom(client: Client):
             assert np.array_equal(double[row * 256 : row * 256 + 256, col * 256 : col * 256 + 256], one)
 
 
-def test_another_matrix_set(client: Client):
+def test_another_matrix_set_is_served(client: Client):
     matrix_set = matrix_sets.get("WGS1984Quad")
     zooms = client.get("/levels/hills").json()["tile_matrix_sets"]["WGS1984Quad"]
     west, south, east, north = client.get("/levels/hills").json()["bounds"]
@@ -129,7 +129,7 @@ def test_another_matrix_set(client: Client):
     assert (pixels(answer)[..., 3] == 255).any()
 
 
-def test_off_the_data_is_transparent_and_costs_no_rendering(client: Client):
+def test_tile_off_the_data_is_empty_and_not_rendered(client: Client):
     before = client.service.pool.counters.answered
     far = f"{TILES}/{ZOOM}/{X + 50}/{Y}"
     assert not pixels(client.get(f"{far}.png")).any()
@@ -142,22 +142,22 @@ def test_off_the_data_is_transparent_and_costs_no_rendering(client: Client):
     assert client.service.pool.counters.answered == before
 
 
-def test_an_empty_tile_is_what_drawing_it_would_give(client: Client):
-    """The block south of the data is reached by the zooms, and its tiles are empty by either way."""
+def test_empty_tile_equals_a_rendered_one(client: Client):
+    """The near tile lies in a block with data, which is rendered; the far one is answered without rendering."""
     near = client.get(f"{TILES}/{ZOOM}/{X}/{Y + 3}.png")  # in a block with data
     far = client.get(f"{TILES}/{ZOOM}/{X + 50}/{Y}.png")
     assert near.headers["x-skugga-algorithm"] == "none" or "server-timing" in near.headers
     assert near.content == far.content
 
 
-def test_night_is_data(client: Client):
+def test_night_is_shadow_and_not_nodata(client: Client):
     mask = pixels(client.get(TILE, params={"layer": "mask", **NIGHT}))
     assert set(np.unique(mask)) == {0, 128}
     shadow = pixels(client.get(TILE, params={"layer": "shadow", **NIGHT}))
     assert (shadow[..., 3][mask == 0] == 255).all()
 
 
-def test_the_sun_of_the_query_is_the_suns(client: Client):
+def test_query_sun_replaces_the_level_sun(client: Client):
     def shadows(**query) -> np.ndarray:
         return pixels(client.get(TILE, params={"layer": "mask", **query})) == 0
 
@@ -167,14 +167,14 @@ def test_the_sun_of_the_query_is_the_suns(client: Client):
     assert overhead.mean() < 0.1 < own.mean()
 
 
-def test_time_with_a_plus_that_arrives_as_a_space(client: Client):
+def test_time_accepts_an_unescaped_plus(client: Client):
     escaped = client.get(f"{TILE}?time=2024-06-21T19:00:00%2B02:00")
     spaced = client.get(f"{TILE}?time=2024-06-21T19:00:00+02:00")
     assert escaped.status_code == 200
     assert (escaped.content, escaped.headers["etag"]) == (spaced.content, spaced.headers["etag"])
 
 
-def test_algorithm_and_settings_of_the_query(client: Client):
+def test_query_sets_algorithm_and_settings(client: Client):
     assert client.get(TILE).headers["x-skugga-algorithm"] == "sweep"
     none = client.get(TILE, params={"algorithm": "none", "layer": "mask"})
     assert none.headers["x-skugga-algorithm"] == "none"
@@ -185,7 +185,7 @@ def test_algorithm_and_settings_of_the_query(client: Client):
     assert coarse.content != cast.content
 
 
-def test_headers(client: Client):
+def test_tile_headers_describe_timing_reach_and_caching(client: Client):
     answer = client.get(TILE)
     timing = answer.headers["server-timing"]
     plan = client.get("/levels/hills/plan").json()
@@ -203,7 +203,7 @@ def test_headers(client: Client):
     assert unchanged.status_code == 304 and unchanged.headers["cache-control"] == given.headers["cache-control"]
 
 
-def test_what_hangs_on_the_clock_or_is_said_of_levels_is_never_stale(client: Client):
+def test_current_tiles_and_level_facts_are_never_stale(client: Client):
     for address in (
         f"{TILE}?time=current",
         "/levels/hills",
@@ -214,7 +214,7 @@ def test_what_hangs_on_the_clock_or_is_said_of_levels_is_never_stale(client: Cli
         assert answer.status_code == 200 and "stale" not in answer.headers["cache-control"], address
 
 
-def test_tags_tell_pictures_apart(client: Client):
+def test_etags_differ_between_tiles(client: Client):
     addresses = [
         f"{TILES}/{ZOOM}/{X}/{Y}.png", f"{TILES}/{ZOOM}/{X}/{Y}.webp", f"{TILES}/{ZOOM}/{X}/{Y}@2x.png",
         f"{TILES}/{ZOOM}/{X - 1}/{Y}.png", f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=mask",
@@ -225,7 +225,7 @@ def test_tags_tell_pictures_apart(client: Client):
     assert len(set(tags)) == len(tags)
 
 
-def test_head_is_get_without_the_body(client: Client):
+def test_head_equals_get_without_the_body(client: Client):
     get, head = client.get(TILE), client.head(TILE)
     assert head.status_code == 200
     assert head.content == b""
@@ -234,7 +234,7 @@ def test_head_is_get_without_the_body(client: Client):
     assert client.head("/levels/nowhere").status_code == 404
 
 
-def test_other_origins_may_read(client: Client):
+def test_cors_headers_are_sent_with_every_tile(client: Client):
     answer = client.get(TILE, headers={"Origin": "https://map.example"})
     assert answer.headers["access-control-allow-origin"] == "*"
     assert "X-Skugga-Caster-Reach" in answer.headers["access-control-expose-headers"]
@@ -243,10 +243,10 @@ def test_other_origins_may_read(client: Client):
         assert of_no_page.headers.get(name) == answer.headers.get(name), "a cache sends the one to who asks for the other"
 
 
-def test_tiles_of_one_block_at_once_are_one_render(client: Client):
+def test_concurrent_tiles_of_a_block_are_rendered_once(client: Client):
     before = client.service.pool.counters.answered
     places = [(X + i, Y + j) for i in range(2) for j in range(2)]
-    query = {"azimuth": 245, "altitude": 19}  # that nobody has asked for yet
+    query = {"azimuth": 245, "altitude": 19}  # not requested before
     with ThreadPoolExecutor(4) as threads:
         answers = list(threads.map(lambda xy: client.get(f"{TILES}/{ZOOM}/{xy[0]}/{xy[1]}.png", params=query), places))
     assert [answer.status_code for answer in answers] == [200] * 4
@@ -255,7 +255,7 @@ def test_tiles_of_one_block_at_once_are_one_render(client: Client):
 
 
 def test_the_service_answers_while_a_block_is_drawn(client: Client):
-    """A liveness bound: far from what an idle loop takes, and far below what a block takes on one thread of a rasteriser."""
+    """The bound of 1 s is far above an idle event loop's latency, and far below a block's time on one thread of a rasteriser."""
     done = threading.Event()
 
     def draw() -> httpx.Response:
@@ -276,17 +276,17 @@ def test_the_service_answers_while_a_block_is_drawn(client: Client):
     assert max(waits) < 1.0
 
 
-def test_opaque_colour_has_no_alpha(client: Client, hills_level):
-    """A third fewer bytes to make and to send; where the data ends there is some."""
+def test_opaque_color_tile_has_no_alpha(client: Client, hills_level):
+    """This makes a third fewer bytes to encode and send. Tiles at the edge of the data have alpha."""
     modes = {picture(client.get(f"{TILES}/{ZOOM}/{x}/{y}.png")).mode for x in (X - 1, X) for y in (Y - 1, Y)}
     assert modes <= {"RGB", "RGBA"} and "RGBA" in modes
 
 
-def test_a_tile_that_was_sent_is_sent_again_without_the_application(client: Client, monkeypatch):
+def test_cached_tile_bypasses_the_application(client: Client, monkeypatch):
     query = {"azimuth": 201.5, "altitude": 33.0}
     first = client.get(TILE, params=query)
-    monkeypatch.setattr(LevelCheck, "_is_fresh", lambda check: True)  # its files were looked at a moment ago
-    monkeypatch.setattr(type(client.service.levels), "current", None)  # whoever asks it for a level fails
+    monkeypatch.setattr(LevelCheck, "_is_fresh", lambda check: True)  # as if its files had just been checked
+    monkeypatch.setattr(type(client.service.levels), "current", None)  # every request for a level fails
     again, head = client.get(TILE, params=query), client.head(TILE, params=query)
     assert again.content == first.content and "block;desc=kept" in again.headers["server-timing"]
     of_the_answer = ("server-timing", "date", "x-request-id", "x-skugga-expected-time")
@@ -299,14 +299,14 @@ def test_a_tile_that_was_sent_is_sent_again_without_the_application(client: Clie
     assert cross_origin.headers["access-control-allow-origin"] == "*"
 
 
-def test_another_spelling_of_a_tile_is_not_encoded_anew(client: Client):
+def test_other_spelling_of_a_query_reuses_the_tile(client: Client):
     one = client.get(TILE, params={"azimuth": 202.5, "altitude": 33.0})
     other = client.get(TILE, params={"altitude": "33", "azimuth": "202.50"})
     assert other.content == one.content and other.headers["etag"] == one.headers["etag"]
     assert "block;desc=kept" in other.headers["server-timing"]
 
 
-def test_a_tile_of_a_level_that_has_changed_is_drawn_anew(tmp_path):
+def test_changed_level_invalidates_its_tiles(tmp_path):
     level = write_level(tmp_path, "hills")
     with running(create_app(Settings(workers=1, level_check_s=0), [level], fake_workers.obedient)) as client:
         before, again = client.get(TILE), client.get(TILE)
@@ -316,7 +316,7 @@ def test_a_tile_of_a_level_that_has_changed_is_drawn_anew(tmp_path):
         assert client.service.pool.counters.answered == 2
 
 
-def test_other_layers_and_formats_of_a_block_are_not_drawn_anew(client: Client):
+def test_layers_and_formats_share_a_cached_block(client: Client):
     query = {"azimuth": 203.5, "altitude": 33.0}
     assert "block;desc=drawn" in client.get(TILE, params=query).headers["server-timing"]
     double = f"{TILES}/{ZOOM - 1}/{X // 2}/{Y // 2}@2x.png"

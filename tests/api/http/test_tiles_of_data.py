@@ -1,4 +1,4 @@
-"""Tiles to compute with: heights in colours, visibility as arrays, GeoTIFFs."""
+"""Data tiles: heights encoded in colours, visibility as arrays, and GeoTIFFs."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def heights(client: Client, layer: str, place: str = f"{ZOOM}/{X}/{Y}", suffix: 
     return (mapbox_height_m if layer == "terrain-rgb" else terrarium_height_m)(np.asarray(image))
 
 
-def test_heights_are_the_rasters(client: Client):
-    """Cells of 30 m, and pixels of 9.55 m: where a pixel lies in the middle of a cell it has its height."""
+def test_height_tiles_equal_the_interpolated_raster(client: Client):
+    """Cells are 30 m wide and pixels 9.55 m; the expected heights lie bilinearly between the centres of the cells."""
     told = heights(client, "terrarium", f"{ZOOM + 2}/{4 * X}/{4 * Y}")
     bounds = tms.get("WebMercatorQuad").xy_bounds(4 * X, 4 * Y, ZOOM + 2)
     pixel = (bounds.right - bounds.left) / 256
@@ -42,7 +42,7 @@ def test_heights_are_the_rasters(client: Client):
     assert np.abs(heights(client, "terrain-rgb", f"{ZOOM + 2}/{4 * X}/{4 * Y}") - expected).max() < 0.06
 
 
-def test_off_the_data_is_the_lowest_height(client: Client):
+def test_heights_off_the_data_are_the_lowest_height(client: Client):
     far, near = heights(client, "terrain-rgb", f"{ZOOM}/{X + 50}/{Y}"), heights(client, "terrain-rgb")
     np.testing.assert_allclose(far, LOWEST_M, atol=1e-6)
     assert np.isclose(near.min(), LOWEST_M) and near.max() > LOWEST_M + 300
@@ -51,7 +51,7 @@ def test_off_the_data_is_the_lowest_height(client: Client):
     assert client.get("/levels/hills/WebMercatorQuad/tilejson.json?layer=terrain-rgb").json()["encoding"] == "mapbox"
 
 
-def test_webp_and_double_tiles_have_the_same_digits(client: Client):
+def test_webp_and_2x_height_tiles_are_exact(client: Client):
     png = heights(client, "terrain-rgb")
     assert np.array_equal(png, heights(client, "terrain-rgb", suffix="webp"))
     double, four = (
@@ -61,7 +61,7 @@ def test_webp_and_double_tiles_have_the_same_digits(client: Client):
     assert double.shape == (512, 512) and np.array_equal(double[:256, :256], four)
 
 
-def test_heights_hang_on_no_sun(client: Client):
+def test_height_tiles_ignore_the_sun(client: Client):
     before = client.service.pool.counters.answered
     client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=terrain-rgb&azimuth=12.5&altitude=34")
     client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=terrain-rgb&azimuth=13.5&altitude=34")
@@ -69,7 +69,7 @@ def test_heights_hang_on_no_sun(client: Client):
     check_problem(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.jpg?layer=terrain-rgb"), 422, "invalid_parameter", "format")
 
 
-def test_visibility_is_what_the_mask_is_made_of(client: Client):
+def test_mask_is_visibility_with_a_threshold(client: Client):
     mask = np.asarray(Image.open(io.BytesIO(client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=mask").content)))
     answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.npy?layer=visibility")
     assert answer.headers["content-type"] == "application/x-npy"
@@ -80,7 +80,7 @@ def test_visibility_is_what_the_mask_is_made_of(client: Client):
 
 
 @pytest.mark.parametrize(("scale", "place"), [(1, f"{ZOOM}/{X}/{Y}"), (2, f"{ZOOM}/{X}/{Y}@2x"), (1, f"{ZOOM}/{X + 50}/{Y}")])
-def test_geotiffs_lie_where_their_tiles_do(client: Client, scale: int, place: str):
+def test_geotiff_bounds_equal_the_tile_bounds(client: Client, scale: int, place: str):
     x = int(place.split("/")[1])
     bounds = tms.get("WebMercatorQuad").xy_bounds(x, Y, ZOOM)
     with MemoryFile(client.get(f"{TILES}/{place}.tif?layer=visibility").content) as file, file.open() as dataset:
@@ -105,7 +105,7 @@ BANDS = {"color": 4, "shadow": 4, "mask": 1, "visibility": 1, "height": 1, "terr
 
 
 def pixels(content: bytes, suffix: str) -> np.ndarray:
-    """What a file shows, (rows, cols) or (rows, cols, bands)."""
+    """Return the pixels of a file, (rows, cols) or (rows, cols, bands)."""
     if suffix == "npy":
         return np.load(io.BytesIO(content))
     if suffix == "tif":
@@ -116,8 +116,8 @@ def pixels(content: bytes, suffix: str) -> np.ndarray:
 
 @pytest.mark.parametrize("suffix", ["png", "webp", "jpg", "tif", "npy"])
 @pytest.mark.parametrize("layer", FORMATS)
-def test_every_format_of_every_layer(client: Client, layer: str, suffix: str):
-    """Those that hold it do, at either size and off the data; any other is refused with those that are right."""
+def test_layers_have_exactly_their_formats(client: Client, layer: str, suffix: str):
+    """Supported formats work at both sizes and off the data; any other format is refused with a list of the supported ones."""
     for place, side in ((f"{ZOOM}/{X}/{Y}", 256), (f"{ZOOM}/{X}/{Y}@2x", 512), (f"{ZOOM}/{X + 50}/{Y}", 256)):
         answer = client.get(f"{TILES}/{place}.{suffix}?layer={layer}")
         if suffix not in FORMATS[layer]:
@@ -135,7 +135,7 @@ def test_every_format_of_every_layer(client: Client, layer: str, suffix: str):
         assert bands == BANDS[layer] or (as_color and bands == 3)
 
 
-def test_masks_and_heights_as_arrays(client: Client):
+def test_arrays_equal_masks_and_heights(client: Client):
     def array(layer: str, place: str, suffix: str = "npy") -> np.ndarray:
         return pixels(client.get(f"{TILES}/{place}.{suffix}?layer={layer}").content, suffix)
 

@@ -1,4 +1,4 @@
-"""The page on ``/``, with the viewer and without."""
+"""The page on ``/``, with and without the built viewer."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def check_page(client: Client, said: str) -> None:
     assert said in page.text
 
 
-def test_without_a_viewer_the_page_says_how_to_build_it(app):
+def test_page_without_a_viewer_says_how_to_build_it(app):
     with running(app()) as client:
         check_page(client, "make viewer")
         check_page(client, 'href="levels/hills/WebMercatorQuad/tilejson.json"')
@@ -37,7 +37,7 @@ def test_without_a_viewer_the_page_says_how_to_build_it(app):
         assert client.get("/assets/map.js").headers["content-type"] == "application/problem+json"
 
 
-def test_the_viewer_and_its_parts(app, tmp_path: Path):
+def test_viewer_and_its_assets_are_served(app, tmp_path: Path):
     (tmp_path / "assets").mkdir()
     (tmp_path / "index.html").write_text("<title>A viewer</title>", encoding="utf-8")
     (tmp_path / "assets" / "map.js").write_text("draw()", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Every answer has its number, its time and its headers; metrics count it; logs tell of it and nothing that a client made up."""
+"""Request ids, headers, metrics, logs and tokens of all answers; clients can inject nothing into them."""
 
 import json
 import logging
@@ -19,7 +19,7 @@ DASHBOARD = Path(__file__).resolve().parents[3] / "examples" / "grafana-dashboar
 
 
 def series(client: Client) -> dict[tuple, float]:
-    """All series of the metrics: name and sorted labels -> value."""
+    """Return all series of the metrics: name and sorted labels -> value."""
     answer = client.get("/metrics")
     assert answer.status_code == 200 and answer.headers["content-type"].startswith("text/plain; version=0.0.4")
     families = text_string_to_metric_families(answer.text)
@@ -31,7 +31,7 @@ def requests(client: Client, route: str, status: int) -> float:
     return series(client).get(("skugga_requests_total", *sorted(labels.items())), 0.0)
 
 
-def test_metrics_tell_what_was_done(serve_with):
+def test_metrics_count_requests_jobs_and_caches(serve_with):
     client = serve_with(fake_workers.obedient, level_check_s=600)
     assert client.get(TILE).status_code == 200
     assert client.get(TILE).status_code == 200
@@ -51,7 +51,7 @@ def test_metrics_tell_what_was_done(serve_with):
     assert found["skugga_request_seconds_count", ("route", TILE_ROUTE)] == 2
 
 
-def test_clients_cannot_make_up_series(serve_with):
+def test_clients_cannot_create_metric_series(serve_with):
     client = serve_with(fake_workers.obedient)
 
     def make_up(number: int) -> int:
@@ -64,7 +64,7 @@ def test_clients_cannot_make_up_series(serve_with):
     assert make_up(2) == make_up(3) == make_up(4)
 
 
-def test_passes_by_algorithm_are_bounded(serve_with):
+def test_pass_metrics_by_algorithm_are_bounded(serve_with):
     metrics = serve_with(fake_workers.obedient).service.metrics
     from skugga.api.workers.jobs import Snapshot
 
@@ -75,7 +75,7 @@ def test_passes_by_algorithm_are_bounded(serve_with):
     assert "skugga_reach_clipped_total 1000.0" in metrics.text().decode()
 
 
-def test_the_dashboard_names_only_what_there_is(serve_with):
+def test_dashboard_names_existing_metrics_only(serve_with):
     metrics = serve_with(fake_workers.obedient).service.metrics
     board = json.loads(DASHBOARD.read_text(encoding="utf-8"))
     queries = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
@@ -87,7 +87,7 @@ def test_the_dashboard_names_only_what_there_is(serve_with):
 @pytest.mark.parametrize(
     ("given", "kept"), [("abc-123_x.Y", True), ("x" * 64, True), ("x" * 65, False), ("a b", False), ('"<b>', False), ("", False)]
 )
-def test_a_sane_number_is_kept_and_another_is_not(serve_with, given: str, kept: bool):
+def test_only_a_valid_request_id_is_kept(serve_with, given: str, kept: bool):
     client = serve_with(fake_workers.obedient)
     answer = client.get("/healthz", headers={"X-Request-ID": given})
     number = answer.headers["x-request-id"]
@@ -95,7 +95,7 @@ def test_a_sane_number_is_kept_and_another_is_not(serve_with, given: str, kept: 
     assert re.fullmatch(r"[A-Za-z0-9._-]{1,64}", number)
 
 
-def test_all_answers_have_their_headers(serve_with):
+def test_all_answers_have_the_common_headers(serve_with):
     client = serve_with(fake_workers.obedient)
     tile = client.get(TILE)
     answers = [
@@ -110,8 +110,8 @@ def test_all_answers_have_their_headers(serve_with):
     assert "geometry;dur=" in tile.headers["server-timing"]
 
 
-def test_pages_load_nothing_from_elsewhere(serve_with):
-    """But tiles of the base map that somebody names to the viewer."""
+def test_pages_load_nothing_from_other_hosts(serve_with):
+    """The one exception are tiles of a base map, whose address a user gives to the viewer."""
     client = serve_with(fake_workers.obedient)
     for page in ("/", "/docs", "/levels/hills.html"):
         policy = client.get(page).headers["content-security-policy"]
@@ -124,7 +124,7 @@ def test_pages_load_nothing_from_elsewhere(serve_with):
     assert "content-security-policy" not in client.get("/levels").headers
 
 
-def test_an_unforeseen_error_has_a_number_that_the_log_has_too(
+def test_unexpected_error_is_logged_and_has_a_request_id(
     serve_with, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     client = serve_with(fake_workers.obedient)
@@ -137,7 +137,7 @@ def test_an_unforeseen_error_has_a_number_that_the_log_has_too(
     assert any("failed unexpectedly" in record.getMessage() for record in caplog.records)
 
 
-def test_the_access_log_is_a_setting_and_its_lines_are_lines(
+def test_access_log_is_optional_and_has_no_forged_lines(
     serve_with, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     quiet, told = serve_with(fake_workers.obedient), serve_with(fake_workers.obedient, access_log=True)
@@ -148,14 +148,14 @@ def test_the_access_log_is_a_setting_and_its_lines_are_lines(
         told.get("/levels?x=%0Aforged%20line")
         told.get("/healthz")  # the line before is written by now
     (record,) = [each for each in caplog.records if each.name == "skugga.access" and each.fields["path"] == "/levels"]
-    # Of two services one was asked for its levels with a query, and tells so; the other, which was asked as well, tells nothing.
+    # Both services were asked for their levels; only the one with an access log wrote a line.
     assert "forged" in record.fields["query"]
     assert record.fields["route"] == "/levels" and record.fields["status"] == 422
     for as_json in (False, True):
         assert "\n" not in LogLine(as_json).format(record)
 
 
-def test_lines_of_json():
+def test_log_line_formats_text_and_json():
     record = logging.makeLogRecord({"msg": "said %s", "args": ("it",), "levelname": "INFO", "fields": {"ms": 1.5}})
     token = request_id.set("number-1")
     try:
@@ -166,7 +166,7 @@ def test_lines_of_json():
     assert (line["message"], line["request_id"], line["ms"], line["level"]) == ("said it", "number-1", 1.5, "INFO")
 
 
-def test_a_token_is_asked_for_where_there_is_one(serve_with):
+def test_token_is_required_if_set(serve_with):
     client = serve_with(fake_workers.obedient, api_token="a secret token")
     for headers in ({}, {"Authorization": "Bearer another token"}, {"Authorization": "Basic a secret token"}):
         for path in ("/levels", TILE, "/", "/metrics", "/docs", "/nothing"):
@@ -187,7 +187,7 @@ def test_a_token_is_asked_for_where_there_is_one(serve_with):
     assert client.options("/levels", headers=preflight).status_code == 200
 
 
-def test_pages_of_other_origins_send_no_cookies(serve_with):
+def test_cors_allows_no_cookies(serve_with):
     client = serve_with(fake_workers.obedient)
     answer = client.get("/levels", headers={"Origin": "https://a.example"})
     assert answer.headers["access-control-allow-origin"] == "*"

@@ -1,4 +1,4 @@
-"""The Web Map Service: its document by structure, its maps by tiles, and clients that know nothing of Skugga."""
+"""WMS 1.3.0: the structure of its capabilities, its maps compared with tiles, and OWSLib as a client."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ORDER = {
     "LegendURL": ["Format", "OnlineResource"],
     "WMS_Capabilities": ["Service", "Capability"],
 }  # fmt: skip
-"""The order of elements in the schema of WMS 1.3.0 (OGC 06-042, annex E), where one is there."""
+"""The order of child elements in the schema of WMS 1.3.0 (OGC 06-042, annex E), by parent."""
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def pixels(answer: httpx.Response) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(answer.content)))
 
 
-def test_the_document(client: Client, root: ElementTree.Element):
+def test_wms_capabilities_follow_the_schema(client: Client, root: ElementTree.Element):
     check_order(root, ORDER)
     assert root.get("version") == "1.3.0"
     layers = layers_of(root)
@@ -79,14 +79,14 @@ def test_the_document(client: Client, root: ElementTree.Element):
         "ISO8601",
         "2024-06-21T16:00:00Z",
     )
-    assert time.text == "2024-01-01T00:00:00Z/2024-12-31T23:50:00Z/PT10M"  # one span: of a list QGIS takes the first for the begin
+    assert time.text == "2024-01-01T00:00:00Z/2024-12-31T23:50:00Z/PT10M"  # one span: QGIS takes the first of a list for the begin
     own = layers["hills:color"].find("w:Dimension", W)
     assert own is not None and own.get("default") is None and "default" not in (own.text or "")
     alone = ElementTree.fromstring(client.get("/levels/hills/wms?REQUEST=GetCapabilities").content)
     assert {name.split(":")[0] for name in layers_of(alone)} == {"hills"}
 
 
-def test_a_map_of_a_tiles_extent_is_the_tile(client: Client):
+def test_getmap_of_a_tile_extent_equals_the_tile(client: Client):
     for layer in ("color", "shadow", "mask"):
         asked, tile = client.get("/wms", params={**MAP, "LAYERS": f"hills:{layer}"}), client.get(TILE, params={"layer": layer})
         assert np.array_equal(pixels(asked), pixels(tile)), layer
@@ -97,8 +97,8 @@ def test_a_map_of_a_tiles_extent_is_the_tile(client: Client):
     assert client.get("/levels/hills/wms", params=MAP).content == answer.content
 
 
-def test_axes_are_the_crss_own(client: Client):
-    """The same extent in CRS:84 with longitude first and in EPSG:4326 with latitude first is the same picture."""
+def test_getmap_follows_the_axis_order_of_the_crs(client: Client):
+    """One extent gives the same picture in CRS:84, longitude first, and in EPSG:4326, latitude first."""
     to_degrees = Transformer.from_crs(3857, 4326, always_xy=True)
     (west, east), (south, north) = to_degrees.transform([BOUNDS.left, BOUNDS.right], [BOUNDS.bottom, BOUNDS.top])
     shape = {"WIDTH": "128", "HEIGHT": "128", "LAYERS": "hills:mask"}
@@ -114,7 +114,7 @@ def test_axes_are_the_crss_own(client: Client):
     assert {0, 255} <= set(np.unique(pixels(client.get("/wms", params={**MAP, **shape, **laea}))))
 
 
-def test_what_is_behind(client: Client):
+def test_getmap_fills_the_background(client: Client):
     clear = pixels(client.get("/wms", params=MAP))
     off = clear[..., 3] == 0
     assert off.any() and not off.all()
@@ -129,7 +129,7 @@ def test_what_is_behind(client: Client):
     assert jpeg.headers["content-type"] == "image/jpeg" and (pixels(jpeg)[off] > 240).mean() > 0.98
 
 
-def test_time(client: Client):
+def test_getmap_time_sets_the_sun(client: Client):
     def mask(**more: str) -> bytes:
         answer = client.get("/wms", params={**MAP, "LAYERS": "timed:mask", **more})
         assert answer.status_code == 200, answer.text
@@ -142,8 +142,8 @@ def test_time(client: Client):
     assert "x-skugga-time" in client.get("/wms", params={**MAP, "TIME": "current"}).headers
 
 
-def test_options_of_products_are_keys(client: Client):
-    """They count, in any case of letters; wrong ones and those of another product are refused."""
+def test_getmap_accepts_options_of_products(client: Client):
+    """Keys are case-insensitive. Wrong values, and options of another product, are refused."""
     hours = {**MAP, "LAYERS": "hills:sunhours", "TIME": "2024-12-21"}
     shown, first = (pixels(client.get("/wms", params={**hours, **more})) for more in ({}, {"quantity": "first"}))
     assert shown.any() and (shown != first).any()
@@ -152,8 +152,8 @@ def test_options_of_products_are_keys(client: Client):
         assert answer.status_code == 422 and 'locator="QUANTITY"' in answer.text, answer.text
 
 
-def test_what_is_at_a_point(client: Client):
-    """The pixel's place, its elevation by the layer of heights, and whether it is lit by the mask."""
+def test_getfeatureinfo_equals_the_point_report(client: Client):
+    """The report gives the centre of the pixel, its elevation, and whether it is lit."""
     answer = client.get("/wms", params={**INFO, "INFO_FORMAT": "application/json"})
     collection = answer.json()
     assert collection["type"] == "FeatureCollection" and len(collection["features"]) == 1
@@ -180,7 +180,7 @@ def test_what_is_at_a_point(client: Client):
     assert hours["day"]["date"] == "2024-12-21" and 0 <= hours["day"]["direct_h"] < 9
 
 
-def test_off_the_data_there_is_nothing_at_a_point(client: Client):
+def test_getfeatureinfo_off_the_data_says_so(client: Client):
     for media_type in ("application/json", "text/plain", "text/html"):
         answer = client.get("/wms", params={**INFO, "I": "250", "J": "10", "BBOX": "0,0,1000,1000", "INFO_FORMAT": media_type})
         assert answer.status_code == 200 and "no ground here" in answer.text
@@ -188,7 +188,7 @@ def test_off_the_data_there_is_nothing_at_a_point(client: Client):
     assert nowhere["features"][0]["geometry"] is None and "no place on earth" in nowhere["features"][0]["properties"]["remark"]
 
 
-def test_legends(client: Client):
+def test_legend_has_the_announced_size(client: Client):
     asked = {"SERVICE": "WMS", "REQUEST": "GetLegendGraphic", "LAYER": "timed:sunhours", "FORMAT": "image/png"}
     assert pixels(client.get("/wms", params=asked)).shape[:2] == (85, 340)
     assert b"</svg>" in client.get("/wms", params={**asked, "FORMAT": "image/svg+xml", "TIME": "2024-03-21"}).content
@@ -198,7 +198,7 @@ def test_legends(client: Client):
     assert legend is not None
     online = legend.find("w:OnlineResource", W)
     assert online is not None
-    as_qgis_asks = "&SLD_VERSION=1.1.0&TRANSPARENT=true&SCALE=250000"  # it adds these to the address that it is told
+    as_qgis_asks = "&SLD_VERSION=1.1.0&TRANSPARENT=true&SCALE=250000"  # QGIS adds these to the announced address
     shown = pixels(client.get(online.get(f"{{{W['x']}}}href", "") + as_qgis_asks))
     assert (str(shown.shape[1]), str(shown.shape[0])) == (legend.get("width"), legend.get("height"))
 
@@ -229,7 +229,7 @@ def test_legends(client: Client):
         ({"REQUEST": "GetLegendGraphic", "LAYER": "hills:color"}, 422, "LayerNotDefined", "LAYER"),
     ],
 )
-def test_exceptions(client: Client, change: dict[str, Any], status: int, code: str, locator: str):
+def test_wms_exceptions_have_code_and_locator(client: Client, change: dict[str, Any], status: int, code: str, locator: str):
     answer = client.get("/wms", params={name: value for name, value in {**MAP, **change}.items() if value is not None})
     assert answer.status_code == status and answer.headers["content-type"].startswith("text/xml"), answer.text
     report = ElementTree.fromstring(answer.content)
@@ -238,10 +238,10 @@ def test_exceptions(client: Client, change: dict[str, Any], status: int, code: s
     assert (exception.get("code"), exception.get("locator")) == (code, locator), answer.text
 
 
-# -- other people's clients
+# -- third-party clients
 
 
-def test_owslib_reads_it(client: Client):
+def test_owslib_reads_wms(client: Client):
     service = WebMapService(f"{client.base_url}/wms", version="1.3.0")
     layer = service.contents["timed:color"]
     assert layer.boundingBoxWGS84 == pytest.approx(tuple(client.get("/levels/timed").json()["bounds"]))

@@ -1,4 +1,4 @@
-"""The Web Map Tile Service: its document by structure, and its tiles as clients find them that know nothing of Skugga."""
+"""WMTS 1.0.0: the structure of its capabilities, the tiles that they lead to, and OWSLib as a client."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ ORDER = {
     "Contents": ["Layer", "TileMatrixSet"],
     "Capabilities": ["ServiceIdentification", "OperationsMetadata", "Contents", "ServiceMetadataURL"],
 }  # fmt: skip
-"""The order of elements in the schema of WMTS 1.0.0 (OGC 07-057r7, annex B), where one is there."""
+"""The order of child elements in the schema of WMTS 1.0.0 (OGC 07-057r7, annex B), by parent."""
 
 
 def short(tag: str) -> str:
@@ -57,7 +57,7 @@ def short(tag: str) -> str:
 
 
 def check_order(root: ElementTree.Element, order: dict[str, list[str]]) -> None:
-    """Every element has its children in the schema's order, and none that the schema does not have."""
+    """Assert that the schema knows every element's children, and that they have its order."""
     for element in root.iter():
         children = [short(child.tag) for child in element]
         if short(element.tag) in order and children:
@@ -82,7 +82,7 @@ def pixels(answer: httpx.Response) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
 
 
-def test_it_has_the_schemas_order_and_all_levels_that_lie_on_earth(root: ElementTree.Element):
+def test_wmts_capabilities_follow_the_schema(root: ElementTree.Element):
     check_order(root, ORDER)
     names = [each.findtext("o:Identifier", "", NAMES) for each in root.iterfind("w:Contents/w:Layer", NAMES)]
     assert set(names) == {f"{level}:{layer}" for level in ("hills", "timed") for layer in LAYERS} and len(set(names)) == len(names)
@@ -90,7 +90,7 @@ def test_it_has_the_schemas_order_and_all_levels_that_lie_on_earth(root: Element
         assert layer.findall("w:Style[@isDefault='true']", NAMES) and layer.findall("w:Format", NAMES)
 
 
-def test_matrix_sets_are_those_of_the_level_in_the_order_of_their_axes(client: Client, root: ElementTree.Element):
+def test_matrix_set_corners_follow_the_axis_order(client: Client, root: ElementTree.Element):
     served = client.get("/levels/hills").json()["tile_matrix_sets"]
     linked = {each.text for each in layer_of(root, "hills:color").iterfind("w:TileMatrixSetLink/w:TileMatrixSet", NAMES)}
     described = {each.findtext("o:Identifier", "", NAMES): each for each in root.iterfind("w:Contents/w:TileMatrixSet", NAMES)}
@@ -106,8 +106,8 @@ def test_matrix_sets_are_those_of_the_level_in_the_order_of_their_axes(client: C
     assert described["WGS1984Quad"].findtext("w:TileMatrix/w:TopLeftCorner", "", NAMES) == "90.0 -180.0"
 
 
-def test_matrix_sets_end_where_the_levels_do(client: Client, root: ElementTree.Element):
-    """GDAL opens a layer at the finest matrix, and QGIS asks it of tiles, whatever the limits say."""
+def test_matrix_sets_end_at_the_maxzoom_of_the_level(client: Client, root: ElementTree.Element):
+    """GDAL opens a layer at the finest matrix, and QGIS requests its tiles, whatever the limits say."""
     last = {name: zooms["maxzoom"] for name, zooms in client.get("/levels/hills").json()["tile_matrix_sets"].items()}
     for element in root.iterfind("w:Contents/w:TileMatrixSet", NAMES):
         matrices = [each.text for each in element.iterfind("w:TileMatrix/o:Identifier", NAMES)]
@@ -115,8 +115,8 @@ def test_matrix_sets_end_where_the_levels_do(client: Client, root: ElementTree.E
         assert matrices == [str(zoom) for zoom in range(tms.get(name).minzoom, last[name] + 1)], name
 
 
-def test_limits_hold_the_tiles_that_have_data(client: Client, root: ElementTree.Element):
-    """In every set, one twice as wide as high among them: those of the corners, by morecantile."""
+def test_tile_matrix_limits_contain_the_data(client: Client, root: ElementTree.Element):
+    """In every matrix set, also one twice as wide as high. The expected tiles are those of the corners by morecantile."""
     said = client.get("/levels/hills").json()
     west, south, east, north = said["bounds"]
     links = {
@@ -137,11 +137,11 @@ def test_limits_hold_the_tiles_that_have_data(client: Client, root: ElementTree.
     limits = {
         each.findtext("w:TileMatrix", "", NAMES): each for each in links["WebMercatorQuad"].iterfind(".//w:TileMatrixLimits", NAMES)
     }
-    # The level's middle is the corner of four tiles, and it is smaller than they.
+    # The level's middle is the corner of four tiles, which contain it.
     assert [each.text for each in list(limits[str(ZOOM)])[1:]] == [str(Y - 1), str(Y), str(X - 1), str(X)]
 
 
-def test_times(root: ElementTree.Element):
+def test_time_dimension_lists_default_and_range(root: ElementTree.Element):
     own, angles, hours = (
         layer_of(root, name).find("w:Dimension", NAMES) for name in ("timed:color", "hills:color", "timed:sunhours")
     )
@@ -157,8 +157,8 @@ def test_times(root: ElementTree.Element):
     assert b"current" not in ElementTree.tostring(root)
 
 
-def test_the_own_time_is_one_of_those_told(tmp_path):
-    """At 18:07:30 +02:00, too, which is no multiple of the step."""
+def test_level_time_lies_on_its_time_dimension(tmp_path):
+    """18:07:30 +02:00 is no multiple of the step of 10 minutes, so the range begins at 00:07:30."""
     level = write_level(tmp_path, "odd", sun={"time": "2024-06-21T18:07:30+02:00"})
     with running(create_app(Settings(workers=1), [level], fake_workers.obedient)) as client:
         served = client.service.levels.get("odd")
@@ -167,8 +167,8 @@ def test_the_own_time_is_one_of_those_told(tmp_path):
     )
 
 
-def test_another_default_time(client: Client):
-    """GDAL knows no times but the document's own."""
+def test_capabilities_accept_another_default_time(client: Client):
+    """GDAL uses no time but the document's default."""
 
     def defaults(time: str) -> list[str]:
         document = ElementTree.fromstring(client.get("/levels/timed/WMTSCapabilities.xml", params={"time": time}).content)
@@ -181,8 +181,8 @@ def test_another_default_time(client: Client):
     assert answer.status_code == 422 and b'locator="time"' in answer.content
 
 
-def test_templates_lead_to_tiles(client: Client, root: ElementTree.Element):
-    """Each layer and format, with every variable filled in by what the document itself says."""
+def test_resource_templates_lead_to_tiles(client: Client, root: ElementTree.Element):
+    """Each layer and format answers; the document's own values fill every variable."""
     for layer in sorted(LAYERS):
         element = layer_of(root, f"timed:{layer}")
         formats = [each.text for each in element.iterfind("w:Format", NAMES)]
@@ -193,7 +193,7 @@ def test_templates_lead_to_tiles(client: Client, root: ElementTree.Element):
             variables = {"TileMatrixSet": "WebMercatorQuad", "TileMatrix": ZOOM, "TileCol": X, "TileRow": Y, "Time": time}
             variables["Style"] = element.findtext("w:Style[@isDefault='true']/o:Identifier", "", NAMES)
             address = each.get("template", "").format(**variables)
-            if layer == "sunhours":  # a block of it takes long to draw: its tag says that it would be drawn
+            if layer == "sunhours":  # its blocks take long to draw; 304 says that the address is valid
                 assert client.get(address, headers={"If-None-Match": "*"}).status_code == 304, address
                 continue
             answer = client.get(address)
@@ -205,14 +205,14 @@ def test_templates_lead_to_tiles(client: Client, root: ElementTree.Element):
     assert client.get(f"{TILE}?time=default").content == client.get(TILE).content
 
 
-def test_the_legend_of_hours_of_sun(client: Client, root: ElementTree.Element):
+def test_only_sun_hours_have_a_legend(client: Client, root: ElementTree.Element):
     legend = layer_of(root, "timed:sunhours").find("w:Style/w:LegendURL", NAMES)
     assert legend is not None and legend.get("format") == "image/png"
     assert pixels(client.get(legend.get(f"{{{NAMES['x']}}}href", ""))).shape == (85, 340, 4)
     assert layer_of(root, "timed:color").find("w:Style/w:LegendURL", NAMES) is None
 
 
-def test_one_level_alone(client: Client):
+def test_level_has_capabilities_of_its_own(client: Client):
     document = ElementTree.fromstring(client.get("/levels/timed/WMTSCapabilities.xml").content)
     names = [each.findtext("o:Identifier", "", NAMES) for each in document.iterfind("w:Contents/w:Layer", NAMES)]
     assert {name.split(":")[0] for name in names} == {"timed"}
@@ -221,7 +221,7 @@ def test_one_level_alone(client: Client):
     assert client.get("/levels/nowhere/WMTSCapabilities.xml").status_code == 404
 
 
-def test_by_keys_it_is_the_same_tile(client: Client):
+def test_kvp_gettile_equals_the_rest_tile(client: Client):
     tile = client.get(TILE)
     answer = client.get("/wmts", params=KEYS)
     assert answer.content == tile.content and answer.headers["etag"] == tile.headers["etag"]
@@ -259,7 +259,7 @@ def test_by_keys_it_is_the_same_tile(client: Client):
         ({"LAYER": "site:color"}, 422, "InvalidParameterValue", "LAYER"),
     ],
 )
-def test_exceptions(client: Client, change: dict[str, Any], status: int, code: str, locator: str):
+def test_wmts_exceptions_have_code_and_locator(client: Client, change: dict[str, Any], status: int, code: str, locator: str):
     answer = client.get("/wmts", params={name: value for name, value in {**KEYS, **change}.items() if value is not None})
     assert answer.status_code == status and answer.headers["content-type"].startswith("text/xml")
     assert answer.headers["cache-control"] == "no-store"
@@ -270,10 +270,10 @@ def test_exceptions(client: Client, change: dict[str, Any], status: int, code: s
     assert exception.findtext("o:ExceptionText", "", NAMES)
 
 
-# -- other people's clients
+# -- third-party clients
 
 
-def test_owslib_reads_it(client: Client):
+def test_owslib_reads_wmts(client: Client):
     service = WebMapTileService(f"{client.base_url}{ADDRESS}")
     layer = service.contents["timed:color"]
     assert layer.boundingBoxWGS84 == pytest.approx(tuple(client.get("/levels/timed").json()["bounds"]), abs=1e-9)
@@ -285,15 +285,15 @@ def test_owslib_reads_it(client: Client):
     assert tile.read() == client.get(f"{TILE}?layer=mask").content
 
 
-# -- by arithmetic
+# -- without a service
 
 
-def test_times_that_are_asked_for():
+def test_requested_instant_and_date_parse_times():
     assert [requested_instant(text, 0.0) for text in (None, "", "default")] == [None] * 3
     assert requested_instant("2024-06-21T16:00:00Z", 7.0) == "2024-06-21T16:00:00Z"
     assert requested_instant("2024-06-21T16:00", 7.0) == "2024-06-21T16:00Z"
     assert requested_instant("2024-06-21T16:00:00+02:00/2024-06-22T00:00:00+02:00", 7.0) == "2024-06-21T16:00:00+02:00"
-    assert requested_instant("2024-06-21", -90.0) == "2024-06-21T18:00:00Z"  # the sun's noon, six hours after Greenwich's
+    assert requested_instant("2024-06-21", -90.0) == "2024-06-21T18:00:00Z"  # solar noon, six hours after that of Greenwich
     assert requested_instant("2024-13-41", 0.0) == "2024-13-41"
     default = datetime(2024, 3, 21, tzinfo=UTC).date()
     assert requested_date("2024-06-21T00:00:00Z", default).isoformat() == "2024-06-21" and requested_date(None, default) == default
@@ -301,6 +301,6 @@ def test_times_that_are_asked_for():
         requested_date("soon", default)
 
 
-def test_a_box_across_the_antimeridian_is_all_round():
+def test_box_across_the_antimeridian_spans_all_longitudes():
     assert lon_lat_box((170.0, -20.0, 190.0, -10.0)) == (-180.0, -20.0, 180.0, -10.0)
     assert lon_lat_box((8.0, 47.0, 9.0, 48.0)) == (8.0, 47.0, 9.0, 48.0)

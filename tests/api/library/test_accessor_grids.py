@@ -1,4 +1,4 @@
-"""``da.skugga`` in one piece and by chunks, in several CRSs, and whichever way rows and columns run."""
+"""``da.skugga`` in one piece and in chunks, in several CRSs, and for each direction of rows and columns."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLACES = {
     "EPSG:4326": (10.0, 47.0, 1 / 3600), "EPSG:3035": (4321e3, 2700e3, 30.0), "EPSG:3031": (-100e3, -1500e3, 30.0),
     "EPSG:2056": (2600e3, 1200e3, 30.0), "EPSG:32633": (500e3, 5200e3, 30.0), "EPSG:3857": (1000e3, 6000e3, 30.0),
 }  # fmt: skip
-"""CRS -> west, north and cell of a raster."""
+"""CRS -> west and north edge and cell size of a raster."""
 
 PRODUCTS: dict[str, Callable[[xarray.DataArray], xarray.DataArray]] = {
     "shadow": lambda array: array.skugga.shadow(**SUN),
@@ -51,7 +51,7 @@ def placed(crs: str) -> xarray.DataArray:
 @THREADED
 @pytest.mark.parametrize("crs", PLACES)
 @pytest.mark.parametrize("product", PRODUCTS)
-def test_chunks_are_parts_of_the_whole_in_any_crs(crs, product):
+def test_chunks_equal_the_whole_in_any_crs(crs, product):
     whole = PRODUCTS[product](placed(crs))
     assert whole.rio.crs.to_string() == crs and whole.notnull().any()
     lazy = PRODUCTS[product](placed(crs).chunk({"y": 40, "x": 70}))
@@ -60,8 +60,8 @@ def test_chunks_are_parts_of_the_whole_in_any_crs(crs, product):
 
 
 @THREADED
-def test_a_geographic_file_in_chunks_is_the_file(tmp_path):
-    """As ``rioxarray.open_rasterio`` opens it."""
+def test_a_geographic_file_in_chunks_equals_the_file(tmp_path):
+    """``rioxarray.open_rasterio`` opens the chunked array."""
     raster = write_geotiff(tmp_path / "dem.tif", hills(), "EPSG:4326", 10.0, 47.0, 1 / 3600, nodata=float("nan"))
     chunked = rioxarray.open_rasterio(raster, masked=True, chunks={"y": 40, "x": 70}).squeeze()
     with skugga.open_level(raster) as level:
@@ -86,7 +86,7 @@ def test_rows_and_columns_may_run_either_way(crs, steps, chunks):
         xarray.testing.assert_equal(answer.sortby("x").sortby("y", ascending=False), PRODUCTS[product](right))
 
 
-def test_cells_without_coordinates_lie_where_the_geotransform_says(tmp_path):
+def test_cells_without_coordinates_use_the_geotransform(tmp_path):
     raster = write_geotiff(tmp_path / "dem.tif", hills(), "EPSG:32633", 500e3, 5200e3, 30.0)
     bare = rioxarray.open_rasterio(raster, masked=True, parse_coordinates=False).squeeze()
     assert "x" not in bare.coords
@@ -119,7 +119,7 @@ WRONG: dict[str, tuple[Callable[[xarray.DataArray], Any], str]] = {
 
 @pytest.mark.parametrize("chunked", [False, True])
 @pytest.mark.parametrize("fault", WRONG)
-def test_arrays_that_are_no_upright_grid_are_refused_with_a_remedy(fault, chunked):
+def test_arrays_on_no_regular_grid_are_refused_with_a_remedy(fault, chunked):
     change, words = WRONG[fault]
     array = change(placed("EPSG:32633"))
     with pytest.raises(skugga.SkuggaError, match=words) as error:
@@ -127,7 +127,7 @@ def test_arrays_that_are_no_upright_grid_are_refused_with_a_remedy(fault, chunke
     assert "\n" not in str(error.value)
 
 
-def test_an_array_too_large_for_memory_is_refused_before_it_is_read():
+def test_an_array_too_large_for_memory_is_refused_unread():
     huge = np.broadcast_to(np.float32(0.0), (10**7, 10**7))
     small = placed("EPSG:32633").rio.write_transform(Affine(0.1, 0.0, 500e3, 0.0, -0.1, 5200e3))
     array = xarray.DataArray(huge, dims=("y", "x"), coords={"spatial_ref": small.spatial_ref})

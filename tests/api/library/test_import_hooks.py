@@ -1,4 +1,4 @@
-"""Hooks that wait for a module: called once, whoever imports it and however, and never the reason why it is imported."""
+"""Import hooks: each is called once, by any way of import, and never causes the import itself."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NAME = "a_module_to_wait_for"
 
 @pytest.fixture
 def module_file(tmp_path, monkeypatch):
-    """The file of a module that nobody has imported."""
+    """Yield the file of a module that has not been imported."""
     file = tmp_path / f"{NAME}.py"
     file.write_text("VALUE = 7\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
@@ -55,12 +55,12 @@ def test_cancelled_hook_is_not_called(module_file: Path) -> None:
     call_after_import(NAME, seen.append)()
     importlib.import_module(NAME)
     assert seen == []
-    call_after_import(NAME, seen.append)()  # too late: called already
+    call_after_import(NAME, seen.append)()  # too late: the hook has been called
     assert len(seen) == 1
 
 
-def test_module_has_its_own_loader(module_file: Path) -> None:
-    """What reads sources and data of a module asks its loader."""
+def test_module_keeps_its_loader(module_file: Path) -> None:
+    """Tools that read the sources and data of a module use its loader."""
     call_after_import(NAME, lambda module: None)
     spec = importlib.util.find_spec(NAME)
     assert spec is not None and spec.loader is not None and spec.loader.get_filename(NAME) == str(module_file)  # type: ignore[attr-defined]
@@ -78,7 +78,7 @@ def test_looking_for_a_module_does_not_call_its_hooks(module_file: Path) -> None
     assert len(seen) == 1
 
 
-def test_module_that_is_missing_or_breaks_stays_so(module_file: Path) -> None:
+def test_missing_or_broken_module_raises_its_usual_error(module_file: Path) -> None:
     seen: list[ModuleType] = []
     cancel = call_after_import("no_module_of_this_name", seen.append)
     with pytest.raises(ModuleNotFoundError, match="no_module_of_this_name"):
@@ -95,7 +95,7 @@ def test_module_that_is_missing_or_breaks_stays_so(module_file: Path) -> None:
     assert len(seen) == 1
 
 
-def test_module_of_a_package_is_waited_for(tmp_path, monkeypatch) -> None:
+def test_hook_of_a_submodule_waits_for_the_submodule(tmp_path, monkeypatch) -> None:
     package = tmp_path / "a_package_to_wait_for"
     package.mkdir()
     (package / "__init__.py").touch()

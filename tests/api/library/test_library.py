@@ -1,4 +1,4 @@
-"""Skugga from Python: arrays, open levels, xarray."""
+"""The Python library: arrays, open levels, xarray."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from skugga.api.products.mask import MASK_SHADOW
 from tests.rasters import write_geotiff
 
 THREADED = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-"""For chunks that are made by several threads: rasterio silences this warning of its own arrays with ``warnings.catch_warnings``,
-which threads undo for each other.
+"""For chunks computed by several threads: rasterio silences this warning with ``warnings.catch_warnings``, which is not
+thread-safe.
 """
 
 CELL_M = 30.0
@@ -41,8 +41,8 @@ def heights(height_m) -> xarray.DataArray:
     return xarray.DataArray(height_m, dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs("EPSG:32633")
 
 
-def test_a_wall_shades_as_many_cells_as_it_must():
-    """90 m high, the sun in the west, half as high as it is far: 180 m, 6 cells of 30 m."""
+def test_a_wall_shades_six_cells():
+    """The wall is 90 m high and the sun in the west at a slope of 1:2. The shadow has 180 m, 6 cells of 30 m."""
     height_m = np.zeros((40, 200), np.float32)
     height_m[:, 100] = 90.0
     dark = skugga.shadow(height_m, CELL_M, 270.0, float(np.degrees(np.arctan(0.5)) - 0.01))
@@ -50,13 +50,13 @@ def test_a_wall_shades_as_many_cells_as_it_must():
     assert dark.dtype == np.bool_
 
 
-def test_holes_have_no_shadow_and_the_night_has_nothing_else(height_m):
+def test_holes_have_no_shadow_and_night_shades_all_ground(height_m):
     dark = skugga.shadow(height_m, CELL_M, 250.0, -1.0)
     np.testing.assert_array_equal(dark, np.isfinite(height_m))
     assert not skugga.shadow(height_m, CELL_M, 250.0, 12.0)[~np.isfinite(height_m)].any()
 
 
-def test_heights_that_are_no_grid():
+def test_heights_that_are_no_grid_are_refused():
     with pytest.raises(ValueError, match=r"\(4,\)"):
         skugga.shadow(np.zeros(4), CELL_M, 0.0, 10.0)
 
@@ -77,7 +77,7 @@ def test_an_open_raster_is_shaded_and_drawn(gl, height_m, tmp_path):
         assert (by_time[0] != mask).any()
 
 
-def test_a_film_is_a_row_of_pictures(gl, height_m):
+def test_a_film_is_an_iterator_of_pictures(gl, height_m):
     with skugga.open_heights(height_m, Affine(CELL_M, 0, 500e3, 0, -CELL_M, 5200e3), "EPSG:32633") as level:
         start, size = datetime.fromisoformat("2024-03-21T09:00:00+01:00"), (48, 32)
         pictures = list(level.film(start=start, end="2024-03-21T11:00:00+01:00", step="1h", size=size))
@@ -85,7 +85,7 @@ def test_a_film_is_a_row_of_pictures(gl, height_m):
         for number, picture in enumerate(pictures):
             still = level.render(time=start.replace(hour=9 + number), size=size)
             np.testing.assert_array_equal(picture, np.where(still[..., 3:] > 0, still[..., :3], picture))
-        with pytest.raises(skugga.SkuggaError, match="step: missing"):  # before a picture is taken
+        with pytest.raises(skugga.SkuggaError, match="step: missing"):  # before the first frame is drawn
             level.film(start=start, end=start)
 
 
@@ -93,7 +93,7 @@ def test_an_array_of_heights_is_a_level(height_m, tmp_path):
     with skugga.open_heights(height_m, Affine(CELL_M, 0, 500e3, 0, -CELL_M, 5200e3), "EPSG:32633") as level:
         visibility = level.shade("visibility", **LOW)
     np.testing.assert_array_equal(np.isnan(visibility), np.isnan(height_m))
-    flat_world = skugga.shadow(height_m, CELL_M, 250.0, 12.0)  # on the globe north turns, and the ground falls away
+    flat_world = skugga.shadow(height_m, CELL_M, 250.0, 12.0)  # on the globe the direction of north varies, and the ground curves
     assert ((visibility == 0.0) != flat_world).mean() < 0.01
 
 
@@ -106,14 +106,14 @@ def test_an_array_of_heights_is_a_level(height_m, tmp_path):
         (lambda: skugga.open_level("jacksboro").shade(azimuth=10.0), ("altitude",)),
     ],
 )
-def test_wrong_input(call, words):
+def test_wrong_input_is_an_error_that_names_it(call, words):
     with pytest.raises(skugga.SkuggaError) as error:
         call()
     for word in words:
         assert word in str(error.value)
 
 
-def test_the_accessor_keeps_coordinates_and_says_what_the_level_says(heights, height_m):
+def test_the_accessor_keeps_coordinates_and_equals_the_level(heights, height_m):
     dark = heights.skugga.shadow(**LOW)
     assert dark.dtype == np.bool_ and dark.dims == ("y", "x") and dark.rio.crs.to_epsg() == 32633
     xarray.testing.assert_equal(dark.x, heights.x)
@@ -121,7 +121,7 @@ def test_the_accessor_keeps_coordinates_and_says_what_the_level_says(heights, he
         np.testing.assert_array_equal(dark, level.shade(**LOW) == MASK_SHADOW)
 
 
-def test_rows_from_south_to_north_and_turned_dimensions(heights):
+def test_row_order_and_dimension_order_do_not_matter(heights):
     dark = heights.skugga.shadow(**LOW)
     southern_first = heights.isel(y=slice(None, None, -1)).skugga.shadow(**LOW)
     assert float(southern_first.y[0]) < float(southern_first.y[-1])
@@ -130,8 +130,8 @@ def test_rows_from_south_to_north_and_turned_dimensions(heights):
 
 
 @THREADED
-def test_chunks_are_made_one_by_one_and_are_parts_of_the_whole(heights):
-    """Shadows fall from one chunk on another; what is asked for is made, and nothing before."""
+def test_chunks_are_computed_lazily_and_equal_the_whole(heights):
+    """Shadows fall from one chunk on another. Only requested chunks are computed, and none before the request."""
     read, lock = [], threading.Lock()
 
     def noted(chunk: np.ndarray) -> np.ndarray:
@@ -149,8 +149,8 @@ def test_chunks_are_made_one_by_one_and_are_parts_of_the_whole(heights):
 
 
 @THREADED
-def test_hours_of_sun_by_every_door(heights, height_m):
-    """From an array of a place, an open level, and the accessor, in one piece or by chunks."""
+def test_sun_hours_are_equal_through_every_interface(heights, height_m):
+    """The interfaces are an array with a latitude, an open level, and the accessor, in one piece or in chunks."""
     hours = heights.skugga.sun_hours("2024-12-21", step_min=30.0)
     assert hours.dtype == np.float32 and 0.0 <= float(hours.min()) < 4.0 < float(hours.max()) < 9.0
     np.testing.assert_array_equal(np.isnan(hours), np.isnan(height_m))
@@ -166,10 +166,10 @@ def test_hours_of_sun_by_every_door(heights, height_m):
     assert 6 * 60 < np.nanmin(first) < 9 * 60
     of_array = skugga.sun_hours(height_m, CELL_M, "2024-12-21", 46.9, 15.0, step_min=30.0)
     np.testing.assert_array_equal(np.isnan(of_array), np.isnan(height_m))
-    assert np.nanmean(np.abs(of_array - hours.to_numpy())) < 0.1  # another grid's north, and another place's sun
+    assert np.nanmean(np.abs(of_array - hours.to_numpy())) < 0.1  # north of another grid, and the sun of another place
 
 
-def test_the_sun_at_a_point_and_its_horizon(heights, height_m):
+def test_point_and_horizon_agree_with_the_accessor(heights, height_m):
     with skugga.open_heights(height_m, heights.rio.transform(), "EPSG:32633") as level:
         x, y = float(heights.x[100]), float(heights.y[150])
         report = level.point(x, y, crs=level.crs, time="2024-12-21T09:00:00+01:00", height=2.0)
@@ -182,7 +182,7 @@ def test_the_sun_at_a_point_and_its_horizon(heights, height_m):
     assert float(horizon.max()) > 5.0
 
 
-def test_what_the_accessor_refuses(heights):
+def test_the_accessor_refuses_invalid_arrays(heights):
     with pytest.raises(skugga.SkuggaError, match="write_crs"):
         heights.drop_vars("spatial_ref").skugga.shadow(**LOW)
     with pytest.raises(skugga.SkuggaError, match="time"):
@@ -192,7 +192,7 @@ def test_what_the_accessor_refuses(heights):
 
 
 def test_a_level_is_a_layer_of_a_notebook_s_map(height_m):
-    """By a service of its own, which ends with the level."""
+    """The layer uses its own service, which ends with the level."""
     import ipyleaflet
 
     with skugga.open_heights(height_m, Affine(CELL_M, 0, 500e3, 0, -CELL_M, 5200e3), "EPSG:32633") as level:
@@ -215,6 +215,6 @@ def test_a_level_is_a_layer_of_a_notebook_s_map(height_m):
 
 
 def mercator_tile(lon_deg: float, lat_deg: float, zoom: int) -> tuple[int, int]:
-    """Column and row of the tile at a place."""
+    """Return column and row of the tile at a place."""
     y = np.arcsinh(np.tan(np.radians(lat_deg))) / np.pi
     return int((lon_deg + 180.0) / 360.0 * 2**zoom), int((1.0 - y) / 2.0 * 2**zoom)

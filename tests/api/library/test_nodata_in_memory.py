@@ -1,4 +1,4 @@
-"""Cells without a height in arrays: what is masked, marked or not finite is no ground, neither dark nor a caster."""
+"""Nodata in arrays: masked, marked and non-finite cells are no ground. They are neither dark nor casters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def masked(height_m: np.ndarray, under: float) -> np.ma.MaskedArray:
 
 
 @pytest.mark.parametrize("under", [0.0, 5000.0, -9999.0, -3.4e38])
-def test_what_a_masked_array_masks_is_no_ground(height_m, under):
+def test_masked_cells_are_no_ground(height_m, under):
     hidden = masked(height_m, under)
     for call in (
         lambda heights: skugga.shadow(heights, 30.0, 250.0, 12.0),
@@ -49,11 +49,11 @@ def test_sentinels_are_no_ground(height_m, sentinel):
     np.testing.assert_array_equal(skugga.shadow(marked, 30.0, 250.0, 12.0), skugga.shadow(height_m, 30.0, 250.0, 12.0))
 
 
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")  # catch_warnings is not for dask's threads
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")  # catch_warnings is not safe in dask's threads
 @pytest.mark.parametrize("dtype", ["int16", "int32", "uint16", "float32", "float64"])
 @pytest.mark.parametrize("options", [{}, {"masked": True}, {"mask_and_scale": True}, {"parse_coordinates": False}, {"chunks": 50}])
-def test_the_nodata_of_a_file_is_none_of_its_ground(height_m, dtype, options, tmp_path):
-    """However rioxarray opens it: the answer is that of the file."""
+def test_nodata_of_a_file_is_no_ground(height_m, dtype, options, tmp_path):
+    """By every way that rioxarray opens the file, the result equals that of the file."""
     nodata = 65535 if dtype == "uint16" else -9999
     raster = write_geotiff(
         tmp_path / "dem.tif", np.where(np.isnan(height_m), nodata, height_m).astype(dtype), "EPSG:32633", 500e3, 5200e3, 30.0,
@@ -72,7 +72,7 @@ def heights(values: np.ndarray) -> xarray.DataArray:
     return xarray.DataArray(values, dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs("EPSG:32633")
 
 
-def test_nodata_that_is_written_into_an_array_is_no_ground(height_m):
+def test_nodata_attributes_of_an_array_are_respected(height_m):
     right = heights(height_m).skugga.shadow(**SUN)
     marked = heights(np.where(np.isnan(height_m), -9999.0, height_m).astype(np.float32))
     for array in (
@@ -84,7 +84,7 @@ def test_nodata_that_is_written_into_an_array_is_no_ground(height_m):
     assert marked.skugga.shadow(**SUN)[HIDDEN].sum() > 0, "a pit, where nobody says that it is none"
 
 
-def test_scale_offset_and_unit_are_heeded_as_those_of_a_file(height_m, tmp_path):
+def test_scale_offset_and_unit_equal_those_of_a_file(height_m, tmp_path):
     feet = np.rint((np.nan_to_num(height_m, nan=900.0) / 0.3048 - 1000.0) / 0.5).astype(np.int16)
     raster = write_geotiff(tmp_path / "feet.tif", feet, "EPSG:32633", 500e3, 5200e3, 30.0)
     with rasterio.open(raster, "r+") as dataset:
@@ -109,7 +109,7 @@ def test_scale_offset_and_unit_are_heeded_as_those_of_a_file(height_m, tmp_path)
         (-1.0 / 1.8288, {"units": "fathoms", "positive": "down"}),
     ],
 )
-def test_unit_and_direction_are_heeded_in_chunks_and_in_one_piece(height_m, per_metre, said):
+def test_unit_and_direction_apply_to_chunks_and_whole_arrays(height_m, per_metre, said):
     right = heights(height_m).skugga.shadow(**SUN)
     array = heights(height_m.astype(np.float64) * per_metre).assign_attrs(said)
     whole, chunked = array.skugga.shadow(**SUN), array.chunk({"y": 40, "x": 70}).skugga.shadow(**SUN).compute()
@@ -124,7 +124,7 @@ def test_an_unknown_unit_of_an_array_is_refused_at_once(height_m, chunks):
         (array if chunks is None else array.chunk(chunks)).skugga.shadow(**SUN)
 
 
-def test_nodata_that_no_cell_can_have_is_none(height_m):
+def test_nodata_outside_the_dtype_is_ignored(height_m):
     array = heights(np.nan_to_num(height_m, nan=900.0).astype(np.int16))
     marked = array.assign_attrs(_FillValue=np.nan)
     xarray.testing.assert_equal(marked.skugga.shadow(**SUN), array.skugga.shadow(**SUN))

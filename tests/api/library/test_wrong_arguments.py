@@ -1,4 +1,4 @@
-"""Whatever is passed to the library's functions: an answer, or one ``SkuggaError``."""
+"""Arguments of the library's functions: every value gives a result or one ``SkuggaError``."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ ARRAYS = [
 
 
 def answers_or_refuses(call: Callable[[], Any]) -> None:
-    """Neither another error nor a warning."""
+    """Call a function; fail on any warning and on any error but ``SkuggaError``."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
@@ -72,7 +72,7 @@ OF_ARRAYS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize(("name", "parameter"), [(name, each) for name, (_, right) in OF_ARRAYS.items() for each in right])
-def test_odd_values_of_functions(name, parameter):
+def test_functions_answer_or_refuse_odd_values(name, parameter):
     function, right = OF_ARRAYS[name]
     for value in [*ODD, *(ARRAYS if parameter == "height_m" else ())]:
         answers_or_refuses(lambda value=value: function(**{**right, parameter: value}))
@@ -101,7 +101,7 @@ OF_LEVELS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize(("name", "parameter"), [(name, each) for name, right in OF_LEVELS.items() for each in right])
-def test_odd_values_of_levels(level, name, parameter):
+def test_levels_answer_or_refuse_odd_values(level, name, parameter):
     for value in ODD:
         answers_or_refuses(lambda value=value: getattr(level, name)(**{**OF_LEVELS[name], parameter: value}))
 
@@ -109,7 +109,7 @@ def test_odd_values_of_levels(level, name, parameter):
 @pytest.mark.parametrize(
     "parameter", ["view", "layer", "time", "azimuth", "altitude", "size", "bounds", "crs", "seconds", "style", "slope_exaggeration"]
 )
-def test_odd_values_of_pictures(gl, level, parameter):
+def test_render_answers_or_refuses_odd_values(gl, level, parameter):
     for value in ODD:
         answers_or_refuses(lambda value=value: level.render(**{**SUN, "size": (8, 8), parameter: value}))
 
@@ -157,24 +157,24 @@ def test_any_numbers_give_shadows_of_the_array_s_shape(heights, cell, azimuth, a
         (lambda level: skugga.open_level("a" * 5000), ("LEVEL", "aaa")),
     ],
 )  # fmt: skip
-def test_the_message_names_the_parameter_and_what_is_allowed(level, call, words):
+def test_messages_name_parameter_and_allowed_values(level, call, words):
     with pytest.raises(skugga.SkuggaError) as error:
         call(level)
     for word in words:
         assert word in str(error.value)
 
 
-def test_an_array_that_is_no_grid_is_a_value_error_as_before():
+def test_an_array_that_is_no_grid_is_a_value_error():
     with pytest.raises(ValueError, match=r"\(4,\)"):
         skugga.shadow(np.zeros(4), 30.0, 0.0, 10.0)
 
 
-def test_an_argument_that_there_is_not_is_a_type_error():
+def test_an_unknown_argument_is_a_type_error():
     with pytest.raises(TypeError, match="'dark'"):
         skugga.shadow(GROUND, 30.0, 250.0, 12.0, dark=True)
 
 
-def test_a_level_that_is_closed_says_so():
+def test_a_closed_level_is_an_error():
     level = skugga.open_heights(GROUND, PLACE, "EPSG:32633")
     level.close()
     level.close()
@@ -182,8 +182,8 @@ def test_a_level_that_is_closed_says_so():
         level.shade(**SUN)
 
 
-def test_arrays_that_do_not_fit_are_refused_before_they_are_made():
-    """A petabyte: numpy itself has no memory for it until it is written to."""
+def test_arrays_too_large_for_memory_are_refused_at_once():
+    """The array would have a petabyte. numpy allocates memory for it only when it is written to."""
     huge = np.broadcast_to(np.float32(0.0), (10**7, 10**7))
     for call in (
         lambda: skugga.shadow(huge, 30.0, 250.0, 12.0),
@@ -202,8 +202,8 @@ def test_a_raster_too_large_for_an_array_is_refused(level):
             call()
 
 
-def test_free_memory_is_what_the_system_and_a_container_leave(tmp_path, monkeypatch):
-    """The least of both; pages of files that the kernel may drop are free."""
+def test_free_memory_respects_system_and_container(tmp_path, monkeypatch):
+    """Free memory is the minimum of both. Pages of files that the kernel may drop count as free."""
     (tmp_path / "meminfo").write_text("MemTotal: 64 kB\nMemAvailable: 32 kB\n")
     monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
     monkeypatch.setattr(memory, "CGROUPS", [(tmp_path, "memory.max", "memory.current", "inactive_file")])
@@ -215,7 +215,7 @@ def test_free_memory_is_what_the_system_and_a_container_leave(tmp_path, monkeypa
     assert memory.free_bytes() == 32 * 1024
 
 
-def test_the_cells_of_a_level_are_parts_of_the_whole():
+def test_a_slice_of_cells_equals_part_of_the_whole():
     row, col = np.mgrid[:90, :120]
     hills = 300.0 * np.sin(col / 9) * np.cos(row / 13)
     with skugga.open_heights(hills, PLACE, "EPSG:32633") as level:
@@ -227,7 +227,7 @@ def test_the_cells_of_a_level_are_parts_of_the_whole():
             np.testing.assert_array_equal(level.shade(crs=crs, **SUN), level.shade(**SUN))
 
 
-def test_lists_and_sides_down_and_right_are_heights_and_cells():
+def test_lists_are_accepted_as_heights_and_cell_sizes():
     wall = np.zeros((5, 30), np.float32)
     wall[:, 10] = 60.0
     dark = skugga.shadow(wall, 30.0, 270.0, 26.0)

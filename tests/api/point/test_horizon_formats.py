@@ -1,4 +1,4 @@
-"""Horizon files: what readers of the formats make of them, pvlib's own among these."""
+"""Horizon files, read back by readers of their formats, such as pvlib."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PLACE = PointPlace(0.0, 0.0, 11.25, 47.5, 0.0, 0.0, 600.0, 2.0, WGS84, np.zeros(
 
 
 def horizon(azimuth_deg: np.ndarray | None) -> PointHorizon:
-    """A horizon that tells directions apart: 40 degrees in the east, falling off to -5 in the west."""
+    """Return a horizon that differs by direction: 40 degrees in the east, falling to -5 in the west."""
     azimuth = np.arange(720) / 2 if azimuth_deg is None else azimuth_deg
     height = 17.5 + 22.5 * np.sin(np.radians(azimuth))
     return PointHorizon(azimuth, height, np.full(len(azimuth), -90.0), np.full(len(azimuth), -90.0))
@@ -33,7 +33,7 @@ def expected(azimuth_deg: np.ndarray) -> np.ndarray:
     return np.maximum(17.5 + 22.5 * np.sin(np.radians(azimuth_deg)), 0.0)
 
 
-def test_pvgis_csv():
+def test_pvgis_csv_counts_azimuths_from_south():
     lines = text("pvgis-csv").splitlines()
     assert lines[0] == "Latitude (decimal degrees): 47.500000" and lines[2] == "Elevation (m): 602.0"
     table = np.array([line.split() for line in lines[lines.index("A_hor\t\tH_hor") + 1 :] if line[:1] in "-0123456789" and line])
@@ -61,26 +61,26 @@ def test_pvgis_json_is_read_by_pvlib(monkeypatch):
     assert series.to_numpy() == pytest.approx(expected(series.index.to_numpy()), abs=1e-3)
 
 
-def test_pvgis_upload_and_forecast_solar_turn_clockwise_from_north():
+def test_upload_formats_go_clockwise_from_north():
     upload = np.array(text("pvgis-upload").split(), float)
     assert len(upload) == 360 and upload == pytest.approx(expected(np.arange(360.0)), abs=0.006)
     listed = np.array(text("forecast-solar").strip().split(","), float)
     assert len(listed) == 72 and listed == pytest.approx(expected(np.arange(72) * 5.0), abs=0.06)
 
 
-def test_pvlib_csv():
+def test_pvlib_csv_is_a_series_by_azimuth():
     series = pandas.read_csv(io.StringIO(text("pvlib")), index_col=0)["horizon_elevation"]
     assert series.index.name == "horizon_azimuth" and series.index.is_monotonic_increasing
     assert series.to_numpy() == pytest.approx(expected(series.index.to_numpy()), abs=1e-3)
 
 
-def test_hor():
+def test_hor_has_one_line_per_degree_from_south():
     azimuth, height = np.array([line.split(" ") for line in text("hor").splitlines()], float).T
     assert azimuth.tolist() == list(range(-180, 180))
     assert height == pytest.approx(expected(azimuth + 180.0), abs=0.006)
 
 
-def test_names_are_known():
+def test_an_unknown_format_is_refused():
     assert len(HORIZON_FORMATS) == 6
     with pytest.raises(InputError, match="format: 'xyz' is not allowed. Allowed: pvgis-csv, pvgis-json"):
         horizon_file("xyz", horizon(None), PLACE)

@@ -1,4 +1,4 @@
-"""The page on products says what there is, and its example works."""
+"""The page on products lists all products, and its example works."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_the_page_has_the_table_of_all_products():
 
 @pytest.fixture
 def slope(monkeypatch) -> Product:
-    """The product of the page's example, as if its file were there."""
+    """Return the product of the page's example."""
     namespace: dict[str, object] = {"__name__": "slope"}
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     exec(compile(code, "docs/products.md", "exec"), namespace)  # noqa: S102  # our own page
@@ -35,14 +35,14 @@ def slope(monkeypatch) -> Product:
 
 
 def computed(scene: Scene, product: Product, cols: int, **options: object) -> np.ndarray:
-    """The product on 40 rows of the level's own cells."""
+    """Return the product on 40 rows of the level's own cells."""
     own = scene.view("map")
     view = MapView(own.grid, float(np.floor(own.row0)), float(np.floor(own.col0)), 1.0, 1.0, 40, cols)
     return compute(scene, view, ProductRequest(product="slope", options=product.options_of(options)), None).array
 
 
 def test_the_pages_example_computes_slopes(write_raster, make_scene, slope):
-    """A plane that rises 3 m in 4 m has 36.87 degrees, in one block and across two, and with twice the heights 56.31."""
+    """A plane that rises 3 m in 4 m has 36.87 degrees, in one block and across two. With twice the heights it has 56.31."""
     col = np.mgrid[:40, :1200][1].astype(np.float32)
     heights = 7.5 * col
     heights[10:14, 200:210] = np.nan
@@ -56,8 +56,8 @@ def test_the_pages_example_computes_slopes(write_raster, make_scene, slope):
 
 
 @pytest.mark.parametrize("towards", ["east", "north"])
-def test_the_pages_example_is_right_where_pixels_are_not_square(write_raster, make_scene, slope, towards):
-    """Ten degrees at 60 degrees north in longitude and latitude, where a cell is half as wide as it is high."""
+def test_the_pages_example_handles_pixels_that_are_not_square(write_raster, make_scene, slope, towards):
+    """The plane has ten degrees, at 60 degrees north in longitude and latitude, where a cell is half as wide as it is high."""
     cell_deg, semi_major_m, flattening = 1.0 / 3600.0, 6_378_137.0, 1.0 / 298.257223563
     row, col = np.mgrid[:80, :120]
     lat, squared = np.radians(60.0 - (row + 0.5) * cell_deg), flattening * (2.0 - flattening)
@@ -82,8 +82,8 @@ def test_the_pages_example_has_colours_for_its_numbers(slope, make_scene, write_
 
 
 @pytest.mark.parametrize("name", PRODUCTS)
-def test_records_are_whole(name: str):
-    """What one field says another one does not contradict."""
+def test_product_records_are_consistent(name: str):
+    """No field of a record contradicts another."""
     product = PRODUCTS[name]
     assert product.about or not product.map_formats, "what HTTP serves is described"
     assert not product.is_picture or product.dtype == "uint8"

@@ -1,4 +1,4 @@
-"""The report's page: whole by itself, safe with any name, the same every time, and true to the rows it shows."""
+"""The report's page: self-contained, safe with any name, reproducible, and consistent with its rows."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ VOID = {"meta", "img", "input", "br", "wbr", "link"}
 
 
 class Page(HTMLParser):
-    """A page's elements as (name, attributes), checked to be nested as they must; and its text."""
+    """Elements of a page as (name, attributes), checked for correct nesting, and its text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -84,7 +84,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def rows() -> Comparison:
-    """Five rows with a nasty name among them, one of each kind of error."""
+    """Return five rows, one for each kind of error, with a name that contains markup."""
     found = comparison(
         NONE,
         figures("sweep", 12.0, 0.03),
@@ -114,13 +114,13 @@ def decoded(uri: str) -> np.ndarray:
 
 
 def indexes_of(uri: str) -> np.ndarray:
-    """The indexes that the page's script finds in a picture."""
+    """Return the indexes that the page's script finds in a picture."""
     found = (decoded(uri)[:, :, None, :] == palette()[None, None]).all(axis=-1)
     assert (found.sum(axis=-1) == 1).all(), "each colour is one of the palette's"
     return found.argmax(axis=-1)
 
 
-def test_a_page_that_needs_nothing_else(text: str) -> None:
+def test_a_page_loads_no_other_files(text: str) -> None:
     page = Page(text)
     for name, its in page.elements:
         for key in ("src", "href", "xlink:href", "action", "data"):
@@ -130,7 +130,7 @@ def test_a_page_that_needs_nothing_else(text: str) -> None:
     assert not re.search(r"https?://", text)
 
 
-def test_the_policy_allows_its_own_style_and_script_alone(text: str) -> None:
+def test_the_policy_allows_only_the_page_s_style_and_script(text: str) -> None:
     (policy,) = (its["content"] for its in Page(text).of("meta") if its.get("http-equiv") == "Content-Security-Policy")
     assert "default-src 'none'" in policy and "img-src data:" in policy and "unsafe" not in policy
     for name in ("style", "script"):
@@ -138,7 +138,7 @@ def test_the_policy_allows_its_own_style_and_script_alone(text: str) -> None:
         assert f"{name}-src 'sha256-{b64encode(sha256(inline.encode()).digest()).decode()}'" in policy
 
 
-def test_shares_that_hold_for_all_rows(text: str) -> None:
+def test_the_page_states_shares_that_hold_for_all_rows(text: str) -> None:
     said = Page(text).text
     assert "25 % of the surface, by truth" in said and "2.0 % of the surface: errors are not counted there" in said
 
@@ -151,12 +151,12 @@ def test_names_cannot_become_markup(text: str) -> None:
     assert text.count("</script>") == 2
 
 
-def test_the_same_twice(rows: Comparison, text: str, tmp_path: Path) -> None:
+def test_the_same_rows_give_the_same_bytes(rows: Comparison, text: str, tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", rows, BASE, ABOUT)
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == text
 
 
-def test_structure(rows: Comparison, text: str) -> None:
+def test_the_page_has_a_valid_structure(rows: Comparison, text: str) -> None:
     page = Page(text)
     ids = [its["id"] for _, its in page.elements if "id" in its]
     assert len(ids) == len(set(ids))
@@ -173,7 +173,7 @@ def test_structure(rows: Comparison, text: str) -> None:
     )
 
 
-def test_the_table_is_sorted_by_the_error_and_says_so(rows: Comparison, text: str) -> None:
+def test_the_table_is_sorted_by_the_error(rows: Comparison, text: str) -> None:
     page = Page(text)
     sorted_by = [its for its in page.of("th") if "aria-sort" in its]
     assert [its["aria-sort"] for its in sorted_by] == ["ascending"]
@@ -201,7 +201,7 @@ def test_pictures_hold_every_class_and_level(rows: Comparison, text: str) -> Non
     assert (data["left"], data["right"]) == (1, 4), "the front's fastest that casts, and its most accurate"
 
 
-def test_what_no_light_can_reach_is_no_cast_shadow() -> None:
+def test_pixels_that_no_light_reaches_are_no_cast_shadow() -> None:
     rows = comparison(NONE, figures("sweep", 1.0, 0.1))
     rows.rows[0].visibility[:, -1] = 0
     text = report_html(rows, BASE, ABOUT)
@@ -220,7 +220,7 @@ def test_errors_have_the_colours_of_false_colours() -> None:
 
 
 @given(arrays(np.uint8, (7, 5)), arrays(np.int8, (7, 5), elements=st.integers(0, 2)), st.integers(1, 8))
-def test_no_wrong_pixel_vanishes_in_a_shrunk_picture(visibility: np.ndarray, wrong: np.ndarray, factor: int) -> None:
+def test_a_shrunk_picture_keeps_every_wrong_pixel(visibility: np.ndarray, wrong: np.ndarray, factor: int) -> None:
     small = indexes(ErrorPicture(visibility, wrong == FALSE_SHADOW, wrong == MISSED_SHADOW), factor)
     assert small.shape == (-(-7 // factor), -(-5 // factor))
     for i, j in np.ndindex(small.shape):
@@ -229,7 +229,7 @@ def test_no_wrong_pixel_vanishes_in_a_shrunk_picture(visibility: np.ndarray, wro
         assert small[i, j] // GRAY_LEVELS in (wrong[block] if wrong[block].any() else [CORRECT])
 
 
-def test_forty_noisy_pictures_fit() -> None:
+def test_forty_noisy_pictures_fit_the_size_limit() -> None:
     rng = np.random.default_rng(3)
     side = 320
     ground = rng.integers(0, 256, (side, side, 3), dtype=np.uint8)
@@ -246,7 +246,7 @@ def test_forty_noisy_pictures_fit() -> None:
     assert len(drawn.row_uris) == 40 and (drawn.rows, drawn.cols) == decoded(drawn.row_uris[0]).shape[:2]
 
 
-def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk() -> None:
+def test_a_page_shrinks_pictures_to_keep_its_size() -> None:
     rng = np.random.default_rng(4)
     view = PerspectiveView(np.zeros(3), np.eye(3), 10.0, -2.5, -3.5, 1.0, 400, 500)
     noise = rng.integers(0, 256, (400, 500), dtype=np.uint8)
@@ -267,7 +267,7 @@ def test_a_long_remark_is_folded() -> None:
     assert len(page.of("details")) == 2, "the remark and the row's settings"
 
 
-def test_each_row_that_was_left_out_has_its_command() -> None:
+def test_each_omitted_row_has_its_command() -> None:
     commands = ["skugga compare x --only 'relief=sweep,meshes=hybrid'", "skugga compare x --only planar"]
     page = Page(report_html(comparison(NONE), BASE, ABOUT, commands))
     assert all(command in page.text for command in commands) and "left out by the time limit" in page.text
@@ -275,13 +275,13 @@ def test_each_row_that_was_left_out_has_its_command() -> None:
 
 
 @pytest.mark.parametrize("rows", [(), (NONE,), (figures("sweep", 0.0, 0.0),)], ids=["no rows", "none alone", "all zero"])
-def test_little_to_show(rows: tuple[dict[str, Any], ...]) -> None:
+def test_a_page_of_one_row_or_none(rows: tuple[dict[str, Any], ...]) -> None:
     page = Page(report_html(comparison(*rows, remarks=["the view shows no surface: there is nothing to compare"]), BASE, ABOUT))
     assert "The view shows no surface: there is nothing to compare." in page.text
     assert len(page.of("table")) == bool(rows)
 
 
-def test_points_lie_where_time_and_error_say(rows: Comparison) -> None:
+def test_points_are_ordered_by_time_and_error(rows: Comparison) -> None:
     page = Page(scatter_plot(rows))
     assert "none" not in page.text, "it would only take room"
     points = {int(its["data-row"]): its for its in page.of("a")}
@@ -344,8 +344,8 @@ def test_marks_differ_in_shape_and_colour() -> None:
     assert mark_of("a newcomer") not in marks
 
 
-def test_the_scatter_alone_is_a_picture_of_its_own(rows, tmp_path) -> None:
-    """An SVG file that is well-formed, names what the report's scatter names, and needs nothing from elsewhere."""
+def test_the_scatter_plot_is_a_standalone_svg(rows, tmp_path) -> None:
+    """The SVG file is well-formed, has the names of the report's scatter plot, and loads nothing from elsewhere."""
     path = tmp_path / "scatter.svg"
     write_scatter(path, rows, ["First", NASTY])
     root = ElementTree.parse(path).getroot()

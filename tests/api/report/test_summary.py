@@ -1,4 +1,4 @@
-"""A comparison in plain words: right in number, silent where there is nothing to say, every figure from the rows."""
+"""The summary of a comparison: correct grammar, no empty statements, every figure from the rows."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VIEW = PerspectiveView(np.zeros(3), np.eye(3), 10.0, -2.5, -3.5, 1.0, ROWS, COLS
 
 
 def figures(name: str, ms: float, error: float, **more: Any) -> dict[str, Any]:
-    """Figures of a row whose algorithm is the name up to its first hyphen, of both kinds of casters."""
+    """Return figures of a row for both kinds of casters. The algorithm is the name up to its first hyphen."""
     algorithm = name.partition("-")[0]
     zeros = dict.fromkeys(("wrong", "false_shadow", "missed_shadow", "edge_mean", "edge_p95", "edge_mean_m", "edge_p95_m"), 0.0)
     return {
@@ -51,7 +51,7 @@ def figures(name: str, ms: float, error: float, **more: Any) -> dict[str, Any]:
 
 
 def comparison(*rows: dict[str, Any], **more: Any) -> Comparison:
-    """A comparison of rows that are right everywhere; the front is that of time against the error that counts."""
+    """Return a comparison of rows that are right everywhere. The front is that of time against the chosen error."""
     error = more.get("error", "wrong_cast")
     keys = [(f["ms_median"], f[error]) for f in rows]
     for f, key in zip(rows, keys, strict=True):
@@ -68,17 +68,17 @@ NONE = figures("none", 0.0, 1.0)
 
 
 @pytest.mark.parametrize("rows", [[], [NONE]], ids=["no rows", "none alone"])
-def test_says_nothing_where_nothing_casts(rows: list[dict[str, Any]]) -> None:
+def test_summary_is_empty_where_nothing_casts(rows: list[dict[str, Any]]) -> None:
     assert format_summary(comparison(*rows)) == []
 
 
-def test_one_row() -> None:
+def test_a_single_casting_row_is_reported_as_the_only_one() -> None:
     assert format_summary(comparison(NONE, figures("sweep", 40.0, 0.0123))) == [
         "sweep is the only one that casts shadows here: 1.2 % of the cast shadow wrong, in 40 ms."
     ]
 
 
-def test_fastest_most_accurate_and_each_halving_between() -> None:
+def test_summary_has_the_extremes_and_each_halving() -> None:
     fast, middle, best = (figures(f"shadow_map-{k}", *at) for k, at in enumerate([(10.0, 0.08), (20.0, 0.035), (100.0, 0.001)]))
     between = figures("shadow_map-3", 15.0, 0.06)  # on the front, but less than a halving
     assert format_summary(comparison(NONE, best, between, middle, fast)) == [
@@ -106,7 +106,7 @@ def test_errors_up_to_three_noise_floors_are_exact() -> None:
 
 
 @pytest.mark.parametrize(("count", "others"), [(2, "; 1 more is as accurate"), (3, "; 2 more are as accurate")])
-def test_all_exact(count: int, others: str) -> None:
+def test_exact_rows_are_reported_with_the_fastest(count: int, others: str) -> None:
     said = format_summary(comparison(*(figures(f"sweep-{k}", 10.0 + k, 0.0) for k in range(count))))
     assert said == [f"sweep-0 is both the fastest and the most accurate: exact within the noise of truth, in 10 ms{others}."]
 
@@ -118,7 +118,7 @@ def test_all_exact(count: int, others: str) -> None:
         ([0.004], "sweep and hybrid have interior errors, although their error is small: up to 0.40 % of"),
     ],
 )
-def test_failures_of_small_error_are_told(more: list[float], words: str) -> None:
+def test_interior_errors_of_accurate_rows_are_reported(more: list[float], words: str) -> None:
     rows = [figures("sweep", 10.0, 0.01, interior=0.002), *(figures("hybrid", 20.0, 0.005, interior=i) for i in more)]
     plainly_wrong = figures("planar", 5.0, 0.4, interior=0.3)
     aliased = figures("shadow_map", 30.0, 0.004, interior=MAX_INTERIOR)
@@ -130,23 +130,23 @@ def test_failures_of_small_error_are_told(more: list[float], words: str) -> None
     ("lost", "words"),
     [(["hybrid"], "hybrid serves this view, but is"), (["hybrid", "planar"], "hybrid and planar serve this view, but are")],
 )
-def test_what_is_never_on_the_front(lost: list[str], words: str) -> None:
+def test_algorithms_never_on_the_front_are_listed(lost: list[str], words: str) -> None:
     rows = figures("sweep", 10.0, 0.01), figures("shadow_map-64", 50.0, 0.001), figures("shadow_map-32", 60.0, 0.02)
     told = [text for text in format_summary(comparison(*rows, *(figures(name, 70.0, 0.05) for name in lost))) if "never" in text]
     assert len(told) == 1 and told[0].startswith(words), "shadow_map is on the front by one of its settings"
 
 
-def test_where_none_beats_all_nobody_is_told_to_be_never_on_the_front() -> None:
+def test_none_on_the_front_lists_no_dominated_algorithms() -> None:
     rows = comparison(figures("none", 0.0, 0.0), figures("sweep", 10.0, 0.0), figures("hybrid", 20.0, 0.1))
     assert not any("never" in text for text in format_summary(rows))
 
 
-def test_the_error_that_counts_is_told() -> None:
+def test_the_summary_names_its_error_metric() -> None:
     row = figures("sweep", 10.0, 0.5, coverage=0.031)
     assert "3.1 % difference in shadow share" in format_summary(comparison(row, error="coverage"))[0]
 
 
-def test_soft_edges_are_judged_where_something_else_is_best_there() -> None:
+def test_soft_edges_are_reported_if_another_row_is_best() -> None:
     hard, soft = figures("shadow_map-1", 10.0, 0.01, soft_error=0.04), figures("shadow_map-sun", 50.0, 0.02, soft_error=0.005)
     said = format_summary(comparison(hard, soft))
     assert "Nearest to the soft edges of truth is shadow_map-sun: 0.50 % soft error, in 50 ms." in said
@@ -161,7 +161,7 @@ def test_soft_edges_are_judged_where_something_else_is_best_there() -> None:
         (20.0, False, "Better than the default, sweep, in no more time is hybrid."),
     ],
 )
-def test_the_default_is_judged(ms: float, soft_front: bool, words: str) -> None:
+def test_the_default_is_compared_with_the_front(ms: float, soft_front: bool, words: str) -> None:
     default = figures("sweep", ms, 0.03, pareto_soft=soft_front)
     told = [
         text for text in format_summary(comparison(default, figures("hybrid", 10.0, 0.01), default="sweep")) if "default" in text
@@ -169,7 +169,7 @@ def test_the_default_is_judged(ms: float, soft_front: bool, words: str) -> None:
     assert len(told) == 1 and told[0].startswith(words)
 
 
-def test_algorithms_of_the_light_that_is_looked_at() -> None:
+def test_the_algorithm_family_is_that_of_one_light() -> None:
     row = figures("mixed", 1.0, 0.0)
     row["algorithm"] = {
         "sun": {"relief": "sweep", "meshes": "shadow_volume", "forest": "sweep"},
@@ -193,7 +193,7 @@ def test_algorithms_of_the_light_that_is_looked_at() -> None:
     st.sampled_from([0.0, 0.001, 0.4]),
     st.sampled_from(["wrong_cast", "coverage"]),
 )
-def test_any_times_and_errors_are_told_without_a_division_by_zero(rows: list[Any], floor: float, error: str) -> None:
+def test_any_times_and_errors_give_finite_sentences(rows: list[Any], floor: float, error: str) -> None:
     made = [figures(f"sweep-{k}", ms, wrong, coverage=wrong) for k, (ms, wrong) in enumerate(rows)]
     said = format_summary(comparison(NONE, *made, noise_floor=floor, error=error))
     assert said and all(text.endswith(".") and "nan" not in text and "inf" not in text for text in said)
@@ -209,7 +209,7 @@ def test_shares_are_written_to_two_digits(share: float) -> None:
         assert "e" not in text and math.isclose(float(text.removesuffix(" %")), 100.0 * share, rel_tol=0.051)
 
 
-def test_units() -> None:
+def test_percentages_and_durations_have_units() -> None:
     assert [format_percent(x) for x in (0.0, 0.0012, 0.09996, 0.5, 1.0)] == ["0 %", "0.12 %", "10 %", "50 %", "100 %"]
     assert [format_duration(x) for x in (0.0, 0.4249, 9.96, 435.4, 999.6, 2100.0)] == [
         "0 ms",
@@ -221,7 +221,7 @@ def test_units() -> None:
     ]
 
 
-def test_lists() -> None:
+def test_long_lists_end_with_a_count() -> None:
     assert [format_list(list("abcde"[:n])) for n in range(1, 6)] == [
         "a",
         "a and b",

@@ -1,4 +1,4 @@
-"""Whether a file is what version 3 of the PMTiles specification says, read by nothing but this: no reader or writer is shared.
+"""Checker of files against version 3 of the PMTiles specification. It shares no code with any reader or writer.
 
 https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md
 """
@@ -15,7 +15,7 @@ from typing import Any
 
 MAGIC = {"png": b"\x89PNG\r\n\x1a\n", "jpg": b"\xff\xd8\xff", "webp": b"RIFF"}
 TYPES = {2: "png", 3: "jpg", 4: "webp"}
-"""Codes of the tile types that are checked."""
+"""Codes of the supported tile types."""
 
 HEADER = struct.Struct("<7sB 11Q 6B 4i B 2i")
 NAMES = (
@@ -27,7 +27,17 @@ NAMES = (
 
 @dataclass
 class Archive:
-    """What was read: the header by name, the metadata, and every tile's bytes by zoom, column and row."""
+    """A checked archive.
+
+    Attributes
+    ----------
+    header
+        Fields of the header by name.
+    metadata
+        Parsed JSON metadata.
+    tiles
+        Bytes of every tile by zoom, column and row.
+    """
 
     header: dict[str, Any]
     metadata: dict[str, Any]
@@ -36,9 +46,10 @@ class Archive:
 
 
 def checked(path: Path, any_content: bool = False) -> Archive:
-    """An archive that keeps to the specification; ``AssertionError`` where it does not. Gzipped or plain directories, plain tiles.
+    """Return an archive that conforms to the specification.
 
-    ``any_content`` lets tiles be of any bytes.
+    Directories are gzipped or plain, tiles plain. ``any_content`` lets tiles have any bytes. Raises ``AssertionError``
+    otherwise.
     """
     data = path.read_bytes()
     assert len(data) >= 127, "shorter than a header"
@@ -101,7 +112,7 @@ def checked(path: Path, any_content: bool = False) -> Archive:
 
 
 def _entries(header: dict[str, Any], unpacked: Any, leaves: list[tuple[int, int]]) -> Iterator[tuple[int, int, int, int]]:
-    """Tile id, run, length and offset of every tile entry in order, through leaf directories, which are noted."""
+    """Yield tile id, run, length and offset of every tile entry in order. Append leaf directories to ``leaves``."""
 
     def walk(raw: bytes, depth: int) -> Iterator[tuple[int, int, int, int]]:
         assert depth < 4, "directories are nested deeper than readers go"
@@ -122,7 +133,7 @@ def _entries(header: dict[str, Any], unpacked: Any, leaves: list[tuple[int, int]
 
 
 def directory(raw: bytes) -> list[tuple[int, int, int, int]]:
-    """Tile id, run, length and offset of every entry of a directory's plain bytes."""
+    """Return tile id, run, length and offset of every entry of a directory's plain bytes."""
     count, *numbers = _varints(raw)
     assert len(numbers) == 4 * count, "a directory with too few or too many numbers"
     deltas, runs, lengths, codes = (numbers[count * column : count * (column + 1)] for column in range(4))
@@ -148,9 +159,10 @@ def _varints(raw: bytes) -> Iterator[int]:
 
 
 def place_of(tile_id: int) -> tuple[int, int, int]:
-    """Zoom, column and row of a tile id: zooms one after another, and in each Hilbert's curve from the top left to the top right.
+    """Return zoom, column and row of a tile id.
 
-    From the finest step to the coarsest: each pair of bits tells the quadrant, and how the square before it lies in there.
+    Ids count zooms one after another, and in each zoom along a Hilbert curve from the top left to the top right. From the
+    finest step to the coarsest, each pair of bits gives the quadrant and the orientation of the previous square in it.
     """
     zoom = 0
     while tile_id >= 4**zoom:

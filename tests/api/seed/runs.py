@@ -1,4 +1,4 @@
-"""Runs of tests: a level, its task table, and a runner that draws in the test's own process."""
+"""Test runs of seeding: a level, its task table, and a runner that draws in the test's own process."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Fate = Callable[[Task], TaskFailure | None]
 
 
 def rough_ground(cells: int, seed: int = 3) -> np.ndarray:
-    """Ridges and noise of some hundred metres, float32 (cells, cells)."""
+    """Return ridges and noise of some hundred metres, float32 (cells, cells)."""
     rng = np.random.default_rng(seed)
     row, col = np.mgrid[:cells, :cells]
     ridges = 200.0 * np.sin(row / 17.0) * np.cos(col / 23.0) + 80.0 * np.sin((row + 2 * col) / 7.0)
@@ -36,12 +36,12 @@ def rough_ground(cells: int, seed: int = 3) -> np.ndarray:
 
 
 def write_ground(path: Path, heights: np.ndarray) -> Path:
-    """Ground of cells of 30 m in a UTM zone."""
+    """Write ground with cells of 30 m in a UTM zone."""
     return write_geotiff(path, heights, "EPSG:32633", 500e3, 5200e3, 30.0)
 
 
 class HereRunner:
-    """Draws in this process, one at a time; ``fate`` may have a task end otherwise."""
+    """Runner that draws in this process, one task at a time. ``fate`` may replace the result of a task."""
 
     def __init__(self, run: PlannedRun, store: FolderStore, fate: Fate | None = None) -> None:
         self._drawer, self._fate = Drawer(run.spec, store), fate
@@ -67,7 +67,7 @@ class HereRunner:
 
 @dataclass
 class Run:
-    """``skugga seed`` without its command: a level's tiles into an output, by a work folder beside it."""
+    """``skugga seed`` without its command: a level's tiles, an output, and a work folder beside it."""
 
     level: Path
     output: Path
@@ -91,7 +91,7 @@ class Run:
         return SeedRequest(source, ZoomRange(*self.zooms), self.suns, asked, "png")
 
     def __call__(self, fate: Fate | None = None, **options: object) -> tuple[SeedResult, list[Task]]:
-        """Seed; what was done, and the tasks that were drawn."""
+        """Seed, and return the result and the tasks that were drawn."""
         runners: list[HereRunner] = []
         with TaskTable(self.work / "tasks.sqlite") as table:
             run = plan_run(table, self.request, lambda text: None)
@@ -105,8 +105,8 @@ class Run:
         return done, [task for runner in runners for task in runner.drawn]
 
     def output_of(self, number: int) -> Path:
-        """Of a run under several suns, one for each."""
+        """Return the output of one of several suns."""
         return self.output if len(self.suns) == 1 else self.output.with_stem(f"{self.output.stem}-{number}")
 
     def on_progress(self, progress: TaskEnd) -> None:
-        """Nothing is shown."""
+        """Show nothing."""

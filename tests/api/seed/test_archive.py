@@ -1,4 +1,4 @@
-"""Archives: what is written is what other readers find, byte by byte; what is broken is noticed."""
+"""PMTiles archives: other readers find the written tiles byte by byte, and broken input is detected."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def facts_of(first_zoom: int, last_zoom: int, **changed: Any) -> ArchiveFacts:
 
 
 def tile_of(number: int, size: int = 40) -> bytes:
-    """A content that no other number has, of so many bytes, that looks like a PNG from its beginning."""
+    """Return a content of so many bytes that is unique to a number and begins like a PNG."""
     return MAGIC["png"] + number.to_bytes(8, "big") + bytes(size - 16)
 
 
@@ -37,13 +37,13 @@ def write(path: Path, shards: Shards, facts: ArchiveFacts) -> ArchiveSize:
 
 
 def pyramid(first_zoom: int, last_zoom: int, per_shard: int = 16) -> list[dict[int, bytes]]:
-    """All tiles of some zooms, each of another content, in shards."""
+    """Return all tiles of some zooms, each with a different content, in shards."""
     ids = range(first_tile_id(first_zoom), first_tile_id(last_zoom + 1))
     return [{each: tile_of(each) for each in ids[begin : begin + per_shard]} for begin in range(0, len(ids), per_shard)]
 
 
 def read_back(path: Path) -> dict[tuple[int, int, int], bytes]:
-    """All tiles as the reader of the pmtiles package finds them."""
+    """Return all tiles as the reader of the pmtiles package finds them."""
     with path.open("rb") as file:
         return dict(all_tiles(MmapSource(file)))
 
@@ -65,23 +65,23 @@ def test_another_reader_finds_every_tile(tmp_path):
     assert path.stat().st_size == size.file_bytes
 
 
-def test_the_same_tiles_are_the_same_bytes(tmp_path, monkeypatch):
+def test_the_same_tiles_give_the_same_bytes(tmp_path, monkeypatch):
     shards = pyramid(2, 5)
     write(tmp_path / "a.pmtiles", shards, facts_of(2, 5))
     monkeypatch.setattr("time.time", lambda: 1e9)
-    # At another time, in shards of other sizes, and with the metadata's keys in another order.
+    # Another time, other sizes of shards, and another order of the metadata's keys.
     other = facts_of(2, 5, metadata={"skugga": {"layer": "shadow"}, "name": "hills"})
     write(tmp_path / "b.pmtiles", pyramid(2, 5, per_shard=64), other)
     assert (tmp_path / "a.pmtiles").read_bytes() == (tmp_path / "b.pmtiles").read_bytes()
 
 
-def test_runs_and_shared_contents_are_counted_as_by_hand(tmp_path):
+def test_counts_of_runs_and_shared_contents(tmp_path):
     first = first_tile_id(3)
     sea, snow = tile_of(1), tile_of(2)
-    large = tile_of(3, SHARED_BELOW_BYTES)  # too large to be looked for elsewhere; in a run it is stored once all the same
+    large = tile_of(3, SHARED_BELOW_BYTES)  # too large to be deduplicated; in a run it is stored once
     shards = [
         {first: sea, first + 1: sea, first + 2: snow, first + 3: sea},  # a run of two, one, and the first again
-        {first + 4: sea, first + 5: large, first + 6: large},  # the run goes on over the shards' boundary
+        {first + 4: sea, first + 5: large, first + 6: large},  # the run continues across shards
         {first + 8: sea, first + 9: large, first + 10: tile_of(4)},  # after a gap: no run
     ]
     size = write(tmp_path / "a.pmtiles", shards, facts_of(3, 3))
@@ -94,7 +94,7 @@ def test_runs_and_shared_contents_are_counted_as_by_hand(tmp_path):
     assert read_back(tmp_path / "a.pmtiles") == {place_of(i): tile for shard in shards for i, tile in shard.items()}
 
 
-def test_equal_tiles_of_two_zooms_are_no_run_over_a_gap_of_ids(tmp_path):
+def test_equal_tiles_across_a_gap_of_ids_are_no_run(tmp_path):
     last_of_2, first_of_3 = first_tile_id(3) - 1, first_tile_id(3)
     size = write(tmp_path / "a.pmtiles", [{last_of_2: tile_of(1), first_of_3 + 1: tile_of(1)}], facts_of(2, 3))
     assert (size.entries, size.contents) == (2, 1)
@@ -141,7 +141,7 @@ def test_tiles_are_of_the_type_that_the_header_says(tmp_path, format):
     checked(tmp_path / "a.pmtiles")
 
 
-def test_an_index_comes_back_from_its_bytes():
+def test_an_index_survives_a_round_trip():
     index, shard = ShardIndex.of({9: b"nine", 5: b"five!"})
     assert shard == b"five!nine"
     blob = index.to_bytes()
@@ -171,7 +171,7 @@ def test_shards_are_read_once_each_in_order(tmp_path):
         lambda shard: shard[:50] + bytes([shard[50] ^ 1]) + shard[51:],
     ],
 )
-def test_a_broken_shard_is_named_and_leaves_the_older_archive(tmp_path, broken):
+def test_a_broken_shard_is_named_and_keeps_the_old_archive(tmp_path, broken):
     path = tmp_path / "a.pmtiles"
     write(path, pyramid(2, 2), facts_of(2, 2))
     before = path.read_bytes()
@@ -183,13 +183,13 @@ def test_a_broken_shard_is_named_and_leaves_the_older_archive(tmp_path, broken):
     assert [each.name for each in tmp_path.iterdir()] == ["a.pmtiles"]
 
 
-def test_a_tile_that_is_not_stored_is_checked_as_well(tmp_path):
+def test_a_deduplicated_tile_is_checked_too(tmp_path):
     index, shard = ShardIndex.of({5: tile_of(1), 6: tile_of(1)})
     with pytest.raises(BrokenShardError, match="tile 2/1/0 "):
         write_archive(tmp_path / "a", [index], lambda _: shard[:-1] + b"x", facts_of(1, 2))
 
 
-def test_no_shard_is_read_where_there_is_nothing_to_write(tmp_path):
+def test_an_archive_without_tiles_is_not_written(tmp_path):
     for shards in ([], [{}]):
         with pytest.raises(InputError, match="tiles"):
             write(tmp_path / "a.pmtiles", shards, facts_of(2, 3))
@@ -216,7 +216,7 @@ def _patched(path: Path, at: int, form: str, value: int) -> None:
         (118, "<B", 7), (123, "<i", 890_000_000),
     ],
 )  # fmt: skip
-def test_the_checker_notices_a_wrong_header(tmp_path, at, form, value):
+def test_the_checker_detects_a_wrong_header(tmp_path, at, form, value):
     path = tmp_path / "a.pmtiles"
     write(path, pyramid(2, 3), facts_of(2, 3))
     checked(path)
@@ -225,7 +225,7 @@ def test_the_checker_notices_a_wrong_header(tmp_path, at, form, value):
         checked(path)
 
 
-def test_the_checker_notices_wrong_directories(tmp_path, monkeypatch):
+def test_the_checker_detects_wrong_directories(tmp_path, monkeypatch):
     path = tmp_path / "a.pmtiles"
     write(path, pyramid(2, 2), facts_of(2, 2))
     rows = [(first_tile_id(2) + row, 1, 40, 40 * row) for row in range(16)]

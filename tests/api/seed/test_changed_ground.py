@@ -1,4 +1,4 @@
-"""A change of a raster draws anew what its shadows can reach: not less, and not more."""
+"""Incremental seeding: a changed raster redraws exactly the tiles that its shadows can reach."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ CHUNK_CELLS = 64
 
 
 def tiles_by_block(run: Run) -> dict[tuple[int, int, int], bytes]:
-    """The index of each task's tiles."""
+    """Return the index of each task's tiles."""
     with TaskTable(run.work / "tasks.sqlite") as table:
         rows = table._db.execute("SELECT zoom, x, y, tiles FROM tasks WHERE wanted").fetchall()
     return {(zoom, x, y): tiles for zoom, x, y, tiles in rows}
 
 
 def block_on_raster(zoom: int, x: int, y: int) -> Polygon:
-    """A block's outline in the raster's CRS."""
+    """Return a block's outline in the raster's CRS."""
     corners = [tms.get("WebMercatorQuad").xy_bounds(4 * x + i, 4 * y + j, zoom) for i, j in ((0, 0), (3, 3))]
     area = box(corners[0].left, corners[1].bottom, corners[1].right, corners[0].top)
     to_raster = Transformer.from_crs(3857, 32633, always_xy=True)
@@ -38,7 +38,7 @@ def block_on_raster(zoom: int, x: int, y: int) -> Polygon:
 
 
 def swept_shadow(area: Polygon, azimuth_deg: float, length_m: float) -> Polygon:
-    """All that an area can throw its shadow on, and the area."""
+    """Return the union of an area and everything that it can cast its shadow on."""
     away = np.radians(azimuth_deg + 180.0)
     step = length_m * np.sin(away), length_m * np.cos(away)
     moved = Polygon([(x + step[0], y + step[1]) for x, y in area.exterior.coords])
@@ -56,11 +56,11 @@ CASES = {
     "a corner away from the sun": (slice(0, 20), slice(280, 300), lambda part: part + 90.0),
     "a tower in the middle": (slice(150, 152), slice(150, 152), lambda part: part * 0 + 850.0),
 }
-"""Rows, columns, and what becomes of their heights: within the range that the level has anyway, by which every tile goes."""
+"""Rows, columns, and the change of their heights. Changes stay within the level's range of heights: every tile depends on it."""
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_changed_part_draws_anew_what_its_shadows_can_reach(tmp_path: Path, heights: np.ndarray, case: str):
+def test_a_change_redraws_tiles_that_its_shadows_reach(tmp_path: Path, heights: np.ndarray, case: str):
     rows, cols, change = CASES[case]
     sun = SunSpec(azimuth=225.0, altitude=12.0)
     run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), suns=(sun,))
@@ -77,7 +77,7 @@ def test_a_changed_part_draws_anew_what_its_shadows_can_reach(tmp_path: Path, he
     anew = {(task.zoom, task.x, task.y) for task in drawn}
     different = {place for place, tiles in tiles_by_block(fresh).items() if tiles != before[place]}
     assert different and different <= anew
-    # By hand, on a plane: a chunk of cells around the change, and as far as its highest ground throws a shadow over the lowest.
+    # Computed on a plane: a chunk of cells around the change, and the longest shadow of its highest ground over the lowest.
     first, last = (np.array([s.start, s.stop]) for s in (rows, cols))
     top, bottom = first[0] // CHUNK_CELLS * CHUNK_CELLS, -(-first[1] // CHUNK_CELLS) * CHUNK_CELLS
     left, right = last[0] // CHUNK_CELLS * CHUNK_CELLS, -(-last[1] // CHUNK_CELLS) * CHUNK_CELLS
@@ -91,7 +91,7 @@ def test_a_changed_part_draws_anew_what_its_shadows_can_reach(tmp_path: Path, he
         assert len(anew) <= len(before) / 2
 
 
-def test_a_new_highest_ground_draws_all_anew(tmp_path: Path, heights: np.ndarray):
+def test_a_new_maximum_height_redraws_all_tiles(tmp_path: Path, heights: np.ndarray):
     run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM - 1, ZOOM - 1))
     run()
     heights[150, 150] = 1500.0
@@ -99,7 +99,7 @@ def test_a_new_highest_ground_draws_all_anew(tmp_path: Path, heights: np.ndarray
     assert len(run()[1]) == len(tiles_by_block(run))
 
 
-def test_colours_go_by_the_sky_and_by_the_range_of_heights(tmp_path: Path, heights: np.ndarray):
+def test_colours_depend_on_the_range_of_heights(tmp_path: Path, heights: np.ndarray):
     run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), layer="color")
     run()
     for height_m in (700.0, 1800.0):  # within the range, and beyond it
@@ -112,7 +112,7 @@ def test_colours_go_by_the_sky_and_by_the_range_of_heights(tmp_path: Path, heigh
     assert len(drawn) == len(tiles_by_block(run)), "all colours go by the highest ground"
 
 
-def test_at_night_a_change_draws_anew_what_shows_it(tmp_path: Path, heights: np.ndarray):
+def test_at_night_a_change_redraws_only_its_own_tiles(tmp_path: Path, heights: np.ndarray):
     night = (SunSpec(azimuth=0.0, altitude=-20.0),)
     run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), suns=night)
     run()
@@ -125,7 +125,7 @@ def test_at_night_a_change_draws_anew_what_shows_it(tmp_path: Path, heights: np.
     assert len(anew) < len(tiles_by_block(run)) / 2
 
 
-def test_a_file_that_is_written_again_with_the_same_heights_draws_nothing(tmp_path: Path, heights: np.ndarray):
+def test_a_rewritten_file_with_equal_heights_redraws_nothing(tmp_path: Path, heights: np.ndarray):
     run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM - 2, ZOOM - 2))
     run()
     archive = run.output.read_bytes()
@@ -139,8 +139,8 @@ def test_a_file_that_is_written_again_with_the_same_heights_draws_nothing(tmp_pa
 
 
 @pytest.mark.long
-def test_depth_maps_are_fitted_to_ground_that_casts_nothing(tmp_path: Path, heights: np.ndarray):
-    """Their last bits go by whole patches of casters: more ground counts than for a sweep."""
+def test_shadow_maps_redraw_more_tiles_than_sweeps(tmp_path: Path, heights: np.ndarray):
+    """The last bits of depth maps depend on whole patches of casters, so more ground counts than for a sweep."""
     asked = {"algorithm": "shadow_map"}
     run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM - 1, ZOOM - 1), settings=asked)
     run()
@@ -154,8 +154,8 @@ def test_depth_maps_are_fitted_to_ground_that_casts_nothing(tmp_path: Path, heig
 
 
 @pytest.mark.long
-def test_what_stands_on_the_ground_goes_with_it(tmp_path: Path, heights: np.ndarray):
-    """A tower on a hill that is raised throws its shadow farther; a file of towers that changes draws all anew."""
+def test_changed_ground_moves_the_objects_on_it(tmp_path: Path, heights: np.ndarray):
+    """A tower on a raised hill casts a longer shadow. A changed file of towers redraws all tiles."""
     write_ground(tmp_path / "dem.tif", heights)
     to_lon_lat = Transformer.from_crs(32633, 4326, always_xy=True)
 

@@ -1,4 +1,6 @@
-"""A run on a real Dask cluster of processes of their own, on this machine: workers die, one is slow, the scheduler starts anew."""
+"""Seeding on a real Dask cluster of separate processes on this machine: dying workers, a slow worker, a restarted
+scheduler.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ ZOOMS = 11, 14
 
 
 class Cluster:
-    """A scheduler and workers, each a process of its own."""
+    """A scheduler and workers, each a separate process."""
 
     def __init__(self, folder: Path) -> None:
         with socket.socket() as one:
@@ -49,7 +51,7 @@ class Cluster:
         return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard", "--no-show")
 
     def add_worker(self, before: str = "", **environment: str) -> subprocess.Popen[bytes]:
-        """A worker, that runs some Python before it begins."""
+        """Start a worker that first runs some Python code."""
         arguments = [
             self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(self._folder),
             "--host", "127.0.0.1",
@@ -96,7 +98,7 @@ def on_cluster(
     shards: str = "",
     cluster_timeout_s: float = 60.0,
 ) -> list[str]:
-    """Seed on a cluster; the workers that drew, one for each task."""
+    """Seed on a cluster, and return the name of the worker that drew each task."""
     drawn_by: list[str] = []
     place = shards or str(run.work / "shards")
 
@@ -113,7 +115,7 @@ def on_cluster(
     return drawn_by
 
 
-def test_the_same_archive_as_on_one_machine_by_way_of_object_storage(run, cluster, tmp_path, object_store):
+def test_a_cluster_with_object_storage_writes_the_same_archive(run, cluster, tmp_path, object_store):
     cluster.add_worker()
     cluster.add_worker()
     drawn_by = on_cluster(run, cluster, shards=f"{object_store}/dask")
@@ -124,7 +126,7 @@ def test_the_same_archive_as_on_one_machine_by_way_of_object_storage(run, cluste
     assert all(name.endswith(".tiles") for name in store_at(f"{object_store}/dask").names())
 
 
-def test_workers_that_die_are_done_without(run, cluster, tmp_path):
+def test_dead_workers_are_replaced(run, cluster, tmp_path):
     first = cluster.add_worker()
     cluster.add_worker()
     ends = 0
@@ -142,7 +144,7 @@ def test_workers_that_die_are_done_without(run, cluster, tmp_path):
     assert first.wait(10) == -signal.SIGKILL and run.output.read_bytes() == here.output.read_bytes()
 
 
-def test_a_scheduler_that_starts_anew_is_given_what_it_had(run, cluster, tmp_path):
+def test_a_restarted_scheduler_gets_its_tasks_again(run, cluster, tmp_path):
     cluster.add_worker()
     ends = 0
 
@@ -159,7 +161,7 @@ def test_a_scheduler_that_starts_anew_is_given_what_it_had(run, cluster, tmp_pat
     assert run.output.read_bytes() == here.output.read_bytes()
 
 
-def test_a_slow_worker_gets_less_to_do(run, cluster):
+def test_a_slow_worker_gets_fewer_tasks(run, cluster):
     run.zooms = 11, 15
     cluster.add_worker()
     slow = (
@@ -180,11 +182,11 @@ def test_a_worker_with_another_renderer_is_refused(run, cluster):
     with pytest.raises(GraphicsError, match="no worker of the cluster can draw this run.*another renderer"):
         on_cluster(run, cluster)
     cluster.add_worker()
-    until(lambda: workers_of(cluster) == 2)  # as long as there is only the other one, nobody can draw
+    until(lambda: workers_of(cluster) == 2)  # with the other worker alone, no worker could draw
     assert len(set(on_cluster(run, cluster))) == 1, "the other one draws all"
 
 
-def test_render_processes_are_there_before_the_first_task_and_end_with_the_run(cluster):
+def test_render_processes_start_early_and_end_with_the_run(cluster):
     first = cluster.add_worker()
     until(lambda: workers_of(cluster) == 1)
     waiting = DaskCluster(cluster.address)
@@ -201,7 +203,7 @@ def test_render_processes_are_there_before_the_first_task_and_end_with_the_run(c
 
 
 def until(true: Callable[[], bool]) -> None:
-    """Wait until something is so; fail where that takes long."""
+    """Wait until a condition holds. Fail after a minute."""
     end = time.monotonic() + 60.0
     while not true():
         assert time.monotonic() < end
@@ -209,12 +211,12 @@ def until(true: Callable[[], bool]) -> None:
 
 
 def workers_of(cluster: Cluster) -> int:
-    """How many the scheduler knows."""
+    """Return the number of workers that the scheduler knows."""
     with distributed.Client(cluster.address, timeout=30.0, set_as_default=False) as client:
         return len(client.nthreads())
 
 
-def test_without_a_scheduler_or_workers(run, cluster):
+def test_a_missing_scheduler_or_worker_is_an_error(run, cluster):
     with pytest.raises(RenderError, match="no worker joined within 3 s. Run the same command again to resume"):
         on_cluster(run, cluster, cluster_timeout_s=3.0)
     cluster.close()
@@ -222,7 +224,7 @@ def test_without_a_scheduler_or_workers(run, cluster):
         on_cluster(run, cluster)
 
 
-def test_a_scheduler_that_does_not_come_back(run, cluster):
+def test_a_lost_scheduler_ends_the_run_with_an_error(run, cluster):
     cluster.add_worker()
 
     def end_it(end: TaskEnd) -> None:

@@ -1,4 +1,4 @@
-"""Fifty deaths at random moments, of render processes and of the run itself: nothing is lost, and no byte becomes another one."""
+"""Fifty kills at random moments, of render processes and of the run itself: no work is lost, and no byte changes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.api.seed.runs import rough_ground, write_ground
 pytestmark = pytest.mark.long
 
 DEATHS, OF_A_RUN = 50, 4
-"""Every fourth is the run's own."""
+"""Every fourth kill hits the run itself."""
 
 ASKED = ("--zooms", "11-15", "--azimuth", "225", "--altitude", "12")
 
@@ -31,7 +31,7 @@ def command(folder: Path, output: str, *options: str) -> list[str]:
 
 
 def render_processes(parent: int) -> list[int]:
-    """The children of a run that draw."""
+    """Return the child processes of a run that draw."""
     found = []
     for entry in Path("/proc").iterdir():
         try:
@@ -56,7 +56,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_fifty_deaths(folder: Path):
+def test_fifty_kills_do_not_change_the_archive(folder: Path):
     chance = random.Random(28)
     subprocess.run(command(folder, "whole.pmtiles", "--workers", "1", "--json"), check=True, capture_output=True)
     deaths, done_before, runs = 0, 0, 0
@@ -77,7 +77,7 @@ def test_fifty_deaths(folder: Path):
         done = done_tasks(folder, "a.pmtiles")
         assert done >= done_before, "what was done stays done"
         done_before = done
-        if run.returncode == 0:  # it came to its end: begin publishing again, which has to bear deaths, too
+        if run.returncode == 0:  # the run ended: repeat publishing, which must survive kills, too
             (folder / "a.pmtiles").unlink()
     assert runs > DEATHS / OF_A_RUN / 2
     last = subprocess.run(command(folder, "a.pmtiles", "--json", "--retry-failed"), capture_output=True, text=True, check=True)

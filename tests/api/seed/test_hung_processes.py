@@ -1,4 +1,4 @@
-"""Render processes that are stopped in the middle: they are ended after a time, and others do what they had to do."""
+"""Stopped render processes: they are ended after a time limit, and other processes draw their tasks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from skugga.terrain.errors import GraphicsError, RenderError
 from tests.api.seed.runs import Run, rough_ground, write_ground
 
 LIMIT_S = 15.0
-"""Of tasks that take half a second: long enough on a busy machine."""
+"""Limit for tasks that take half a second: long enough on a busy machine."""
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def run(tmp_path: Path) -> Run:
 
 
 class Stopping(LocalPool):
-    """A pool of one process that is stopped as soon as it has been given the task of zoom 11, some ``times``."""
+    """Pool of one process, which is stopped ``times`` times when it receives the task of zoom 11."""
 
     def __init__(self, times: int, limit_s: float | None = None) -> None:
         super().__init__(1)
@@ -46,7 +46,7 @@ class Stopping(LocalPool):
 
 
 def seeded(run: Run, pool: LocalPool, **options: float) -> list[TaskEnd]:
-    """Seed by a pool; what ended."""
+    """Seed by a pool, and return the ends of tasks."""
     ends: list[TaskEnd] = []
     shards = str(run.work / "shards")
     with TaskTable(run.work / "tasks.sqlite") as table:
@@ -59,7 +59,7 @@ def seeded(run: Run, pool: LocalPool, **options: float) -> list[TaskEnd]:
 
 
 def tries_of(run: Run) -> list[int]:
-    """How often workers died of tasks, of those of which any did."""
+    """Return the number of attempts in which a worker died, for each task with any."""
     with closing(sqlite3.connect(run.work / "tasks.sqlite")) as table:
         return [row[0] for row in table.execute("SELECT tries FROM tasks WHERE tries > 0")]
 
@@ -77,7 +77,7 @@ def test_a_stopped_process_is_replaced_and_its_task_drawn(run: Run, tmp_path: Pa
 
 
 @pytest.mark.long
-def test_a_task_that_always_hangs_is_listed_and_the_others_go_on(run: Run):
+def test_a_task_that_always_hangs_is_listed_as_failed(run: Run):
     pool = Stopping(times=100, limit_s=1.0)
     with pytest.raises(RenderError, match=r"1 of \d+ tasks failed.*zoom 11 .*did not answer within 1 s"):
         seeded(run, pool)
@@ -85,7 +85,7 @@ def test_a_task_that_always_hangs_is_listed_and_the_others_go_on(run: Run):
 
 
 @pytest.mark.long
-def test_what_hangs_below_a_clusters_worker_is_replaced(run: Run):
+def test_a_hung_process_of_a_cluster_worker_is_replaced(run: Run):
     from skugga.api.seed.dask_worker import PersistentProcess
 
     kept, shards = PersistentProcess(), str(run.work / "shards")
@@ -118,7 +118,7 @@ def test_processes_that_hang_at_the_start_end_the_run(monkeypatch: pytest.Monkey
     assert len(set(stopped)) == MAX_FAILED_STARTS and not any(Path(f"/proc/{pid}").exists() for pid in stopped)
 
 
-def test_a_tasks_limit_is_a_multiple_of_what_is_expected_and_never_short(run: Run):
+def test_the_limit_of_a_task_has_a_minimum_and_a_ratio(run: Run):
     with TaskTable(run.work / "tasks.sqlite") as table:
         planned = plan_run(table, run.request, lambda text: None)
         number = table.waiting()[0]

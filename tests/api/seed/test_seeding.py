@@ -1,4 +1,4 @@
-"""Runs of ``skugga seed``: what they make, how they go on, and what they do about what goes wrong."""
+"""Runs of ``skugga seed``: their outputs, resumption, and handling of failures."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def run(tmp_path: Path) -> Run:
 
 
 def tiles_of(archive: Path) -> dict[tuple[int, int, int], bytes]:
-    """Every tile by zoom, column and row, as the reader of the ``pmtiles`` package has it."""
+    """Return every tile by zoom, column and row, as the reader of the ``pmtiles`` package finds it."""
     from pmtiles.reader import all_tiles
 
     with archive.open("rb") as file:
@@ -47,7 +47,7 @@ def work_of(table_of: Run) -> TaskTable:
     return TaskTable(table_of.work / "tasks.sqlite")
 
 
-def test_tiles_are_those_that_a_service_sends(run: Run):
+def test_seeded_tiles_equal_those_of_a_service(run: Run):
     run.layer = "color"
     done, drawn = run()
     assert done.written == [run.output] and done.drawn == len(drawn) > 4
@@ -73,7 +73,7 @@ def test_tiles_are_those_that_a_service_sends(run: Run):
     assert len({body for place, body in sent.items() if place not in kept}) == 1, "all others are empty"
 
 
-def test_an_unchanged_level_is_nothing_to_do(run: Run):
+def test_an_unchanged_level_draws_nothing(run: Run):
     run()
     before = run.output.stat()
     done, drawn = run()
@@ -83,7 +83,7 @@ def test_an_unchanged_level_is_nothing_to_do(run: Run):
     assert run()[0].written == [run.output], "it is written again from what was drawn"
 
 
-def test_the_order_of_tasks_does_not_show(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_order_of_tasks_does_not_change_the_archive(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     run()
     in_order = TaskTable.waiting
     monkeypatch.setattr(TaskTable, "waiting", lambda table: in_order(table)[::-1])
@@ -92,7 +92,7 @@ def test_the_order_of_tasks_does_not_show(run: Run, tmp_path: Path, monkeypatch:
     assert other.output.read_bytes() == run.output.read_bytes()
 
 
-def test_the_heaviest_come_first(run: Run):
+def test_the_most_expensive_tasks_come_first(run: Run):
     with work_of(run) as table:
         planned = planning.plan_run(table, run.request, lambda text: None)
         expected = [
@@ -101,7 +101,7 @@ def test_the_heaviest_come_first(run: Run):
     assert planned.zooms.last == 14 and expected == sorted(expected, reverse=True) and len(set(expected)) > 3
 
 
-def test_a_run_that_ends_in_the_middle_goes_on(run: Run, tmp_path: Path):
+def test_an_interrupted_run_resumes(run: Run, tmp_path: Path):
     count = 0
 
     def ends(task):
@@ -120,7 +120,7 @@ def test_a_run_that_ends_in_the_middle_goes_on(run: Run, tmp_path: Path):
     assert run.output.read_bytes() == whole.output.read_bytes()
 
 
-def test_failed_tasks_are_listed_and_the_others_go_on(run: Run):
+def test_failed_tasks_are_listed_and_retried_on_request(run: Run):
     def fails(task):
         return TaskFailure(task.id, "a part that cannot be read", "failed") if task.zoom == 12 else None
 
@@ -130,14 +130,14 @@ def test_failed_tasks_are_listed_and_the_others_go_on(run: Run):
     assert listed and all(line.startswith("zoom 12 block ") for line in listed)
     assert not run.output.exists()
     with pytest.raises(RenderError, match="tasks failed"):
-        run()  # they stay failed
+        run()  # tasks stay failed
     done, drawn = run(retry_failed=True)
     assert {task.zoom for task in drawn} == {12} and len(drawn) == len(listed)
     assert done.written == [run.output] and not (run.work / FAILED_LIST).exists()
 
 
 @pytest.mark.parametrize(("deaths", "fails"), [(2, False), (3, True)])
-def test_a_task_is_begun_anew_when_its_worker_dies(run: Run, deaths: int, fails: bool):
+def test_a_task_is_retried_when_its_worker_dies(run: Run, deaths: int, fails: bool):
     left = deaths
 
     def dies(task):
@@ -155,7 +155,7 @@ def test_a_task_is_begun_anew_when_its_worker_dies(run: Run, deaths: int, fails:
         assert len(run(dies)[1]) == 1
 
 
-def test_where_no_shard_can_be_written_the_run_stops(run: Run):
+def test_a_run_stops_when_shards_cannot_be_written(run: Run):
     def full(task):
         return TaskFailure(task.id, "/shards: No space left on device", "stopped") if task.zoom < 14 else None
 
@@ -164,14 +164,14 @@ def test_where_no_shard_can_be_written_the_run_stops(run: Run):
     assert len(run()[1]) >= 2 and run.output.exists()
 
 
-def test_more_tasks_than_allowed_are_not_begun(run: Run):
+def test_more_tasks_than_allowed_are_refused(run: Run):
     with pytest.raises(InputError, match=r"--max-tasks.*--dry-run"):
         run(max_tasks=2)
     assert not (run.work / "shards").exists()
     assert run(max_tasks=1000)[0].written
 
 
-def test_lost_and_broken_shards_are_drawn_anew(run: Run):
+def test_lost_and_broken_shards_are_redrawn(run: Run):
     run()
     archive = run.output.read_bytes()
     with work_of(run) as table:
@@ -184,7 +184,7 @@ def test_lost_and_broken_shards_are_drawn_anew(run: Run):
     assert run.output.read_bytes() == archive
 
 
-def test_a_level_that_changes_during_a_run_is_noticed(run: Run, tmp_path: Path):
+def test_a_level_that_changes_during_a_run_is_an_error(run: Run, tmp_path: Path):
     drawn_before = 0
 
     def changes(task):
@@ -202,7 +202,7 @@ def test_a_level_that_changes_during_a_run_is_noticed(run: Run, tmp_path: Path):
     assert run.output.read_bytes() == fresh.output.read_bytes()
 
 
-def test_an_output_has_the_zooms_that_are_asked_for(run: Run):
+def test_an_output_has_the_requested_zooms(run: Run):
     all_drawn = run()[1]
     run.zooms = 12, 13
     assert run()[1] == []
@@ -222,7 +222,7 @@ def test_suns_have_an_archive_each(run: Run):
 
 
 @pytest.mark.parametrize("layer", ["mask", "terrain-rgb", "terrarium"])
-def test_layers_to_compute_with(run: Run, layer: str):
+def test_data_layers_are_written_as_png(run: Run, layer: str):
     run.layer, run.zooms = layer, (13, 13)
     run()
     tiles = tiles_of(run.output)
@@ -231,7 +231,7 @@ def test_layers_to_compute_with(run: Run, layer: str):
     assert len(run()[1]) > 0, "another layer is another picture"
 
 
-def test_plans_are_made_once(run: Run, monkeypatch: pytest.MonkeyPatch):
+def test_plans_are_reused_for_changed_ground(run: Run, monkeypatch: pytest.MonkeyPatch):
     run()
 
     def fail(*_: object, **__: object):
@@ -245,7 +245,7 @@ def test_plans_are_made_once(run: Run, monkeypatch: pytest.MonkeyPatch):
         run()
 
 
-def test_reasons(run: Run, monkeypatch: pytest.MonkeyPatch):
+def test_the_outlook_gives_reasons_for_tasks(run: Run, monkeypatch: pytest.MonkeyPatch):
     run.zooms = 11, 12
 
     def reasons() -> set[str]:
@@ -272,7 +272,7 @@ def test_reasons(run: Run, monkeypatch: pytest.MonkeyPatch):
     assert reasons() == {"the renderer has changed"}
 
 
-def test_what_is_written_beside_the_pictures_draws_nothing_anew(run: Run, tmp_path: Path):
+def test_changed_metadata_redraws_nothing(run: Run, tmp_path: Path):
     level = tmp_path / "level.yaml"
     level.write_text("version: 1\ntitle: One\nterrain: {source: dem.tif}\n", encoding="utf-8")
     run.level = level
@@ -284,7 +284,7 @@ def test_what_is_written_beside_the_pictures_draws_nothing_anew(run: Run, tmp_pa
     assert run()[1] != []
 
 
-def test_a_folder_has_the_same_tiles(run: Run, tmp_path: Path):
+def test_a_folder_has_the_same_tiles_as_an_archive(run: Run, tmp_path: Path):
     run()
     folder = Run(run.level, tmp_path / "tiles", ZOOMS)
     folder()
@@ -313,14 +313,14 @@ def test_a_table_has_one_run_at_a_time(run: Run):
     run()
 
 
-def test_a_broken_table_is_told(run: Run):
+def test_a_broken_table_is_an_error(run: Run):
     run.work.mkdir()
     (run.work / "tasks.sqlite").write_bytes(b"no table" * 1000)
     with pytest.raises(InputError, match="--work.*Delete the folder"):
         run()
 
 
-def test_zooms_beyond_the_data(run: Run):
+def test_zooms_beyond_the_data_are_refused(run: Run):
     run.zooms = 11, 22
     with pytest.raises(InputError, match=r"--zooms: '11-22'.*zooms 0 to 1\d"):
         run()

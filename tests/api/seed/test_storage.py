@@ -1,4 +1,4 @@
-"""Where shards lie: whole or not at all, in a folder and in object storage."""
+"""Storage of shards, in a folder and in object storage: writes are atomic."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BUCKET = "skugga-shards"
 
 @pytest.fixture(scope="module")
 def object_store() -> Iterator[str]:
-    """An address in object storage that a server of this machine has (moto)."""
+    """Yield an address in object storage of a local server (moto)."""
     from moto.server import ThreadedMotoServer
 
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
@@ -45,7 +45,7 @@ def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return f"{request.getfixturevalue('object_store')}/{tmp_path.name}"
 
 
-def test_what_is_written_is_read(place: str):
+def test_a_store_reads_what_it_wrote(place: str):
     store = store_at(place)
     assert store.names() == set()
     check_writable(store, place)
@@ -76,12 +76,12 @@ def test_a_folder_has_no_half_written_shards(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("address", ["nope://bucket/run", "s3:///"])
-def test_addresses_that_nothing_reaches(address: str):
+def test_unreachable_addresses_are_refused(address: str):
     with pytest.raises((InputError, RenderError), match="--shards|written"):
         check_writable(store_at(address), address)
 
 
-def test_a_store_that_forgets_is_noticed(tmp_path: Path):
+def test_a_store_that_loses_data_is_detected(tmp_path: Path):
     class Forgetful(FolderStore):
         def read(self, name: str) -> bytes:
             return b""

@@ -1,4 +1,4 @@
-"""Calibrations that measure nothing: they are over at once, when they are told, never, or go wrong."""
+"""Fake calibrations that measure nothing: they end at once, on request or never, or they fail."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.api.workers import fake_workers
 
 
 def profile(**changes) -> DeviceProfile:
-    """A calibration of what fake render processes draw with."""
+    """Return a profile of the device that fake render processes draw with."""
     fields = {
         "renderer": fake_workers.RENDERER, "version": fake_workers.VERSION, "cpus": 2, "engine": "0",
         "measured": datetime(2026, 1, 1, tzinfo=UTC), "took_s": 1.0, "rates_ns": {"map": {"texels": 1.0 / 3.0}},
@@ -24,14 +24,14 @@ def profile(**changes) -> DeviceProfile:
 
 
 def when_told(told: Path) -> DeviceProfile:
-    """Ready as soon as a file is there."""
+    """Return a profile as soon as a file exists."""
     while not told.exists():
         time.sleep(0.01)
     return profile()
 
 
 def endless(begun: Path) -> DeviceProfile:
-    """Leaves a temporary file behind, says where in ``begun``, and never ends."""
+    """Leave a temporary file behind, append its path to ``begun``, and never end."""
     _, left = tempfile.mkstemp()
     _append(begun, left)
     signal.pause()
@@ -39,25 +39,25 @@ def endless(begun: Path) -> DeviceProfile:
 
 
 def failing(begun: Path) -> DeviceProfile:
-    """Finds no device."""
+    """Fail to find a device."""
     _append(begun, "failing")
     raise GraphicsError("libEGL is broken")
 
 
 def dying(begun: Path) -> DeviceProfile:
-    """Ends its process."""
+    """End the process."""
     _append(begun, "dying")
     os._exit(9)
 
 
 def buggy(begun: Path) -> DeviceProfile:
-    """Divides by nothing."""
+    """Divide by zero."""
     _append(begun, "buggy")
     return profile(took_s=1 / 0)
 
 
 def elsewhere(begun: Path) -> DeviceProfile:
-    """Measures another device."""
+    """Return the profile of another device."""
     _append(begun, "elsewhere")
     return profile(renderer="another")
 

@@ -1,4 +1,4 @@
-"""Probes that draw nothing: of two scales, or none at all."""
+"""Fake probes that draw nothing: they return observations at two scales, or fail."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ def seen(choice: str = "shadow_map 1024", error: float = 0.01, ms: float = 20.0)
 
 
 def at_once(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
-    """Something was seen at two scales."""
+    """Return an observation at each of two scales."""
     return MapProbes(classes=tuple(ProbedClass(scale=scale, sun=sun, seen={"sun": (seen(),)}) for scale in (4, 5)))
 
 
 def failing(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
-    """The raster is gone."""
+    """Raise an error about a missing raster."""
     raise RenderError("the raster is gone")

@@ -1,4 +1,4 @@
-"""Render processes that draw nothing: they do what a job's name or place tells them, so that tests control them."""
+"""Fake render processes that draw nothing. A job's view or tile is an order to them, so that tests control their behaviour."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def obedient(
     go: Semaphore | None = None,
     always: str | None = None,
 ) -> None:
-    """Answers at once, or where ``go`` is given says that a job has ``begun`` and waits to be let ``go``.
+    """Answer at once. If ``go`` is given, signal ``begun`` for each job and wait for ``go``.
 
-    A plan's view is an order, unless the same is ordered ``always``: ``crash``, ``hang``, ``refuse`` (wrong input), ``fail``,
-    ``doubt`` (broken OpenGL).
+    The view of a plan is an order, unless ``always`` orders the same for all jobs: ``crash``, ``hang``, ``refuse`` (wrong
+    input), ``fail``, ``doubt`` (broken OpenGL).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe.send(Ready(RENDERER))
@@ -74,8 +74,10 @@ def obedient(
 
 
 def planning(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = None, go: Semaphore | None = None) -> None:
-    """Answers by what its plans go by: a plan is its policy, a tile the version of its plans, and where it is calibrated a tile
-    lacks a probe until there is one for its level. Gated as ``obedient``.
+    """Answer with the basis of plans.
+
+    A plan has the name of its policy, a tile the version of its plans. On a calibrated basis a tile reports a missing probe
+    until its level has one. Gated like ``obedient``.
     """
     basis = config.basis or PlanBasis()
     pipe.send(Ready(RENDERER, basis.device, VERSION))
@@ -110,8 +112,10 @@ def filming(
     go: Semaphore | None = None,
     orders: tuple[tuple[int, str], ...] = (),
 ) -> None:
-    """Draws frames whose every value is how many frames were planned one after the other, and all else as ``obedient``. Gated
-    alike, but that films are looked at at once. ``orders`` are by the numbers of frames: ``crash``, ``fail``.
+    """Draw frames that hold the number of frames planned one after the other. Answer all other jobs like ``obedient``.
+
+    Gated like ``obedient``, except that film checks are answered at once. ``orders`` are pairs of frame number and order:
+    ``crash``, ``fail``.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe.send(Ready(RENDERER))
@@ -143,21 +147,24 @@ def filming(
 
 
 def hanging(pipe: Connection, config: WorkerConfig) -> None:
-    """Never comes back from a job."""
+    """Never return from a job."""
     pipe.send(Ready(RENDERER))
     pipe.recv()
     signal.pause()
 
 
 def unable(pipe: Connection, config: WorkerConfig) -> None:
-    """Cannot start."""
+    """Fail to start."""
     pipe.send(Failure.of(GraphicsError("libEGL at /secret/place is broken"), fatal=True))
 
 
 def compiling(
     pipe: Connection, config: WorkerConfig, go: Semaphore | None = None, steps: int = 0, step_s: float = 0.0, missing: int = 0
 ) -> None:
-    """Compiles before it is ready, until it is let ``go``, and in some steps before each job; some loops stay ``missing``."""
+    """Report compilation before the process is ready, until ``go``, and in some steps before each job.
+
+    ``missing`` loops remain to be compiled.
+    """
     pipe.send(Preparing("compiling loops for map tiles", 3, 9))
     if go is not None:
         go.acquire()
@@ -174,17 +181,17 @@ def compiling(
 
 
 def stillborn(pipe: Connection, config: WorkerConfig) -> None:
-    """Dies while it starts."""
+    """End the process during its start."""
     os._exit(9)
 
 
 def never_ready(pipe: Connection, config: WorkerConfig) -> None:
-    """Warms up for ever."""
+    """Never finish the warm-up."""
     signal.pause()
 
 
 def leaky(pipe: Connection, config: WorkerConfig) -> None:
-    """Fails with words that are not for clients."""
+    """Fail with a message that must not reach clients."""
     pipe.send(Ready(RENDERER))
     while True:
         try:

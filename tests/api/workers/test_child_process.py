@@ -1,4 +1,4 @@
-"""A child process is started, waited for and ended for good, whatever it does meanwhile."""
+"""A child process: its start, its answers, and its end in any state."""
 
 import asyncio
 import os
@@ -15,7 +15,7 @@ from skugga.api.workers.piped_process import PipedProcess
 
 
 def echo(pipe: Connection, word: str) -> None:
-    """Say a word, then what is heard, until the pipe is closed."""
+    """Send a word, then everything that is received, until the pipe closes."""
     pipe.send(word)
     try:
         while True:
@@ -25,7 +25,7 @@ def echo(pipe: Connection, word: str) -> None:
 
 
 def leave(pipe: Connection, status: int) -> None:
-    """End at once."""
+    """Exit at once."""
     os._exit(status)
 
 
@@ -38,7 +38,7 @@ def is_alive(pid: int) -> bool:
 
 
 def with_child(scenario: Callable[[ChildProcess], Coroutine[Any, Any, None]], target: Callable[..., None], *args: Any) -> None:
-    """Run a scenario with a child, which is ended after it."""
+    """Run a scenario with a child process, and end the child after it."""
 
     async def run(threads: ThreadPoolExecutor) -> None:
         child = ChildProcess(PipedProcess(target, *args, name="a test's"), threads)
@@ -49,7 +49,7 @@ def with_child(scenario: Callable[[ChildProcess], Coroutine[Any, Any, None]], ta
         assert child.pipe.closed
         assert child.pid is None or not is_alive(child.pid)
 
-    with ThreadPoolExecutor(1) as threads:  # it waits for the thread, which ends with the process
+    with ThreadPoolExecutor(1) as threads:  # the pool waits for its thread, which ends with the process
         asyncio.run(run(threads))
 
 
@@ -75,7 +75,7 @@ def test_a_child_that_never_answers_frees_its_thread():
     with_child(scenario, echo, "ready")
 
 
-def test_a_child_that_ends_by_itself_leaves_its_status():
+def test_a_child_that_exits_leaves_its_status():
     async def scenario(child: ChildProcess) -> None:
         await child.start()
         with pytest.raises(EOFError):
@@ -86,7 +86,7 @@ def test_a_child_that_ends_by_itself_leaves_its_status():
     with_child(scenario, leave, 3)
 
 
-def test_the_end_waits_for_a_start_that_was_given_up(monkeypatch: pytest.MonkeyPatch):
+def test_end_waits_for_a_start_that_timed_out(monkeypatch: pytest.MonkeyPatch):
     start = PipedProcess.start
 
     def slow_start(self: PipedProcess) -> None:
@@ -105,7 +105,7 @@ def test_the_end_waits_for_a_start_that_was_given_up(monkeypatch: pytest.MonkeyP
     with_child(scenario, echo, "ready")
 
 
-def test_a_child_that_cannot_be_started_leaves_no_pipe_open(monkeypatch: pytest.MonkeyPatch):
+def test_a_child_that_cannot_start_leaves_no_open_pipe(monkeypatch: pytest.MonkeyPatch):
     def fail(self: PipedProcess) -> None:
         raise OSError("no process")
 

@@ -1,4 +1,4 @@
-"""Render processes take turns with EGL's devices."""
+"""Render processes are distributed over EGL devices."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ SERVE = "import sys; from skugga.api.cli.main import main; sys.argv[0] = 'skugga
 
 
 def numbered(pipe: Connection, config: WorkerConfig) -> None:
-    """Has the device of its number, and answers nothing."""
+    """Report the device of this worker's number, and answer nothing."""
     pipe.send(Ready("card", egl_device=f"EGL device {config.number}"))
     signal.pause()
 
 
-def test_each_place_has_a_number_which_another_process_there_keeps(caplog: pytest.LogCaptureFixture):
+def test_a_replaced_process_keeps_its_device_number(caplog: pytest.LogCaptureFixture):
     def devices() -> list[tuple[str, str]]:
         return re.findall(r"render process (\d+) ready after .*: card, EGL device (\d+)", caplog.text)
 
@@ -45,7 +45,7 @@ def test_each_place_has_a_number_which_another_process_there_keeps(caplog: pytes
         with_pool(scenario, numbered, workers=3)
 
 
-def test_processes_that_draw_ahead_have_numbers_too(monkeypatch: pytest.MonkeyPatch):
+def test_seeding_processes_have_device_numbers(monkeypatch: pytest.MonkeyPatch):
     started: list[tuple] = []
     monkeypatch.setattr(local_pool, "RenderProcess", lambda *args: started.append(args))
     local_pool.LocalPool(3)
@@ -53,7 +53,7 @@ def test_processes_that_draw_ahead_have_numbers_too(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.usefixtures("gl")
-def test_a_service_with_two_devices(hills_level: Path, tmp_path: Path):
+def test_a_service_uses_two_devices(hills_level: Path, tmp_path: Path):
     environment = {**os.environ, **two_mesas(tmp_path), "SKUGGA_EGL_DEVICE": "0,1", "SKUGGA_WORKERS": "2", "SKUGGA_PORT": "0"}
     command = [sys.executable, "-c", SERVE, "serve", str(hills_level)]
     with subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True) as process:

@@ -1,4 +1,4 @@
-"""How long jobs are expected to take."""
+"""Expected times of jobs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def a_map(side: int, **more: object) -> MapJob:
     return MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, side), format="png", **more)
 
 
-def test_there_is_a_first_guess_of_every_job():
+def test_every_kind_of_job_has_an_initial_estimate():
     assert set(INITIAL_ESTIMATE_S) == set(get_args(Job))
 
 
-def test_maps_are_learnt_by_the_pixel_and_hours_of_sun_apart():
+def test_map_times_scale_with_pixels_and_differ_by_product():
     times = ExpectedTimes()
     assert times.of(a_map(2000)) == 4 * times.of(a_map(1000)) == 4 * INITIAL_ESTIMATE_S[MapJob] * 1e6 / REFERENCE_PX
     times.learn(a_map(1000), 0.2)

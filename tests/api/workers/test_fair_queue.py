@@ -1,4 +1,4 @@
-"""Many clients before one queue, in a time of its own: whom it serves, whom it refuses, and what it says of the wait."""
+"""Many clients at one queue in simulated time: order of service, refusals, and expected waits."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ def pending(job: Job, client: str, arrived_s: float = 0.0) -> PendingJob:
 
 @dataclass
 class Crowd:
-    """Clients that ask one process for jobs, some at a time. ``takes`` says how long a job takes.
+    """Clients that send jobs to one process, some at a time.
 
-    A client asks again as soon as it has an answer, and does not ask again for what was refused: as map clients do.
+    ``takes`` returns the time of a job. Like map clients, a client sends its next job after each answer, and does not
+    repeat a refused one.
     """
 
     takes: Callable[[Job], float]
@@ -89,31 +90,33 @@ class Crowd:
 
 
 def blocks_of(client: int, count: int = 115) -> list[Job]:
-    """Blocks of a level of its own."""
+    """Return blocks of a client's own level."""
     level = LEVEL.model_copy(update={"path": LEVEL.path.with_name(f"{client}.yaml")})
     return [block(number).model_copy(update={"level": level}) for number in range(count)]
 
 
-def test_nothing_of_one_client_is_refused_that_looks_at_a_cold_level():
-    """Eight requests at a time, 115 tiles: the first ones take long. So did a wooded level, all the time."""
+def test_one_client_on_a_cold_level_is_never_refused():
+    """The client sends 115 tiles, eight at a time. First tiles are slow on a cold level; all tiles were slow on a wooded
+    one.
+    """
     for seconds in (lambda job: 1.5 if job.block_x < 8 else 0.2, lambda job: 2.0):
         crowd = Crowd(seconds).run({"one": (8, blocks_of(0))})
         assert crowd.answered["one"] == 115 and not crowd.refused and not crowd.expired
 
 
-def test_a_screenful_at_once_is_let_in():
+def test_a_screenful_at_once_is_admitted():
     crowd = Crowd(lambda job: 0.3).run({"one": (SCREEN, blocks_of(0, SCREEN))})
     assert crowd.answered["one"] == SCREEN and not crowd.refused
 
 
-def test_eight_clients_get_the_same_and_nothing_is_refused():
+def test_eight_clients_get_equal_shares():
     crowd = Crowd(lambda job: 0.2).run({f"client {n}": (8, blocks_of(n)) for n in range(8)}, until_s=60.0)
     assert not crowd.refused and not crowd.expired
     assert max(crowd.spent_s.values()) - min(crowd.spent_s.values()) < 1.0, crowd.spent_s
 
 
-def test_a_greedy_client_takes_nothing_from_normal_ones():
-    """It asks for 300 pictures at a time, of which each takes ten times as long as a tile."""
+def test_a_greedy_client_does_not_slow_normal_ones():
+    """It requests 300 pictures at a time. Each takes ten times as long as a tile."""
     jobs = {f"normal {n}": (6, blocks_of(n, 1000)) for n in range(7)}
     odd: list[Job] = [each for n in range(10_000) for each in (snapshot(n), block(n))]
     takes = lambda job: 0.1 if job.level != LEVEL else 1.0  # noqa: E731
@@ -127,7 +130,7 @@ def test_a_greedy_client_takes_nothing_from_normal_ones():
     assert waited_s[-1] < 7.0, "six tiles of 0.1 s at an eighth of the time take 4.8 s, and a greedy picture 1 s"
 
 
-def test_work_of_one_client_is_bounded_in_seconds_not_in_requests():
+def test_the_queued_work_of_a_client_is_bounded_in_seconds():
     queue = JobQueue(1)
     for n in range(100):
         queue.learn(snapshot(n), 0.01)
@@ -142,7 +145,7 @@ def test_work_of_one_client_is_bounded_in_seconds_not_in_requests():
     check_admission(queue, heavy, "other", 0.0, SETTINGS)
 
 
-def test_a_screenful_is_let_in_however_long_it_takes():
+def test_a_screenful_is_admitted_however_long_it_takes():
     queue = JobQueue(1)
     queue.learn(block(0), 5.0)
     for n in range(SCREEN):
@@ -155,13 +158,13 @@ def test_a_screenful_is_let_in_however_long_it_takes():
 
 
 @pytest.mark.parametrize(("side", "is_one"), [(256, True), (1024, True), (1025, False)])
-def test_maps_of_clients_that_tile_are_tiles(side: int, is_one: bool):
+def test_small_maps_count_as_tiles(side: int, is_one: bool):
     job = MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, 256), format="png")
     assert is_tile(job) == is_one
     assert is_tile(block(0)) and not is_tile(snapshot(0))
 
 
-def test_the_wait_is_expected_by_what_a_client_has_and_what_others_share():
+def test_the_expected_wait_depends_on_the_client_s_own_queue():
     queue = JobQueue(1)
     queue.learn(block(0), 1.0)
     for n in range(10):
@@ -170,7 +173,7 @@ def test_the_wait_is_expected_by_what_a_client_has_and_what_others_share():
     assert queue.wait_s(block(99), "new", 0.0) == pytest.approx(1.0), "the greedy one has as much before it, and no more"
 
 
-def test_what_waits_is_expected_to_take_what_its_kind_took():
+def test_the_expected_wait_uses_the_times_of_the_job_s_kind():
     queue = JobQueue(1)
     for n in range(2):
         queue.put(pending(block(n), "one"))
@@ -179,7 +182,7 @@ def test_what_waits_is_expected_to_take_what_its_kind_took():
     assert queue.wait_s(block(9), "one", 0.0) == pytest.approx(8.0)
 
 
-def test_a_layer_that_takes_longer_is_known_by_itself():
+def test_layers_have_separate_expected_times():
     queue = JobQueue(1)
     mask = block(0).model_copy(update={"request": ProductRequest(product="mask"), "format": "tif", "tiles": 2})
     queue.learn(block(0), 0.1)
@@ -188,5 +191,5 @@ def test_a_layer_that_takes_longer_is_known_by_itself():
     assert (queue.expected.of(mask), queue.expected.of(block(0))) == pytest.approx((3.0, 0.1))
 
 
-def test_when_to_come_back_is_a_whole_number_within_two_minutes():
+def test_retry_after_is_whole_and_at_most_two_minutes():
     assert [retry_after_s(each) for each in (0.0, 0.2, 7.1, 1e9)] == [1, 1, 8, 120]

@@ -1,4 +1,4 @@
-"""What clients see when render processes fail, hang or are too few."""
+"""Responses to clients when render processes fail, hang or are too few."""
 
 import functools
 import os
@@ -33,7 +33,9 @@ def tile(x: int = X, y: int = Y) -> str:
 
 @pytest.fixture
 def gated(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
-    """A client whose service may wait for one more block; to wait until a block has begun; to let one go on."""
+    """Return a client whose service queues one more block, a function that waits until a block has begun, and one that
+    releases it.
+    """
     spawn = get_context("spawn")
     begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
     client = serve_with(functools.partial(fake_workers.obedient, begun=begun, go=go), queue_length=1, queue_work_s=0.1)
@@ -44,7 +46,7 @@ def gated(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
     return client, wait, go.release
 
 
-def test_a_full_queue_is_503_and_says_when_to_come_back(gated):
+def test_a_full_queue_is_503_with_retry_after(gated):
     client, wait_begun, release = gated
     with ThreadPoolExecutor(2) as threads:
         first = threads.submit(client.get, tile())
@@ -72,7 +74,7 @@ def test_the_service_answers_while_a_block_waits(gated):
         assert drawing.result().status_code == 200
 
 
-def test_a_client_that_goes_away_leaves_no_work_behind(gated):
+def test_work_of_a_disconnected_client_is_dropped(gated):
     client, wait_begun, release = gated
     with ThreadPoolExecutor(1) as thread:
         first = thread.submit(client.get, tile())
@@ -88,7 +90,7 @@ def test_a_client_that_goes_away_leaves_no_work_behind(gated):
     assert client.service.pool.counters.abandoned == 1
 
 
-def test_a_process_killed_in_the_middle_of_a_block(gated):
+def test_a_block_of_a_killed_process_is_retried(gated):
     client, wait_begun, release = gated
     with ThreadPoolExecutor(1) as thread:
         drawing = thread.submit(client.get, tile())
@@ -99,7 +101,7 @@ def test_a_process_killed_in_the_middle_of_a_block(gated):
         assert drawing.result().status_code == 200, "another process has begun it again"
 
 
-def test_a_picture_that_ends_every_process_is_503_and_then_set_aside(serve_with):
+def test_repeated_crashes_open_the_circuit_breaker(serve_with):
     client = serve_with(functools.partial(fake_workers.obedient, always="crash"))
     for _ in range(2):
         answer = client.get(tile())
@@ -112,13 +114,13 @@ def test_a_picture_that_ends_every_process_is_503_and_then_set_aside(serve_with)
     assert client.service.pool.counters.started <= 5
 
 
-def test_a_block_that_takes_too_long(serve_with):
+def test_a_block_that_takes_too_long_is_504(serve_with):
     client = serve_with(fake_workers.hanging, render_timeout_s=0.5)
     check_problem(client.get(tile()), 504, "render_timeout", None)
     assert client.get("/healthz").status_code == 200
 
 
-def test_a_service_that_cannot_draw(serve_with):
+def test_a_service_that_cannot_draw_is_503(serve_with):
     client = serve_with(fake_workers.unable)
     problem = check_problem(client.get(tile()), 503, "graphics", None)
     assert "secret" not in problem["detail"] and "libEGL" not in problem["detail"]
@@ -126,8 +128,8 @@ def test_a_service_that_cannot_draw(serve_with):
     assert client.get("/healthz").status_code == 200
 
 
-def test_a_process_killed_while_it_warms_up_is_started_again(serve_with):
-    """The death of a process says nothing about OpenGL."""
+def test_a_process_killed_during_warm_up_is_restarted(serve_with):
+    """The death of a process is no evidence about OpenGL."""
     go = get_context("spawn").Semaphore(0)
     client = serve_with(functools.partial(fake_workers.compiling, go=go))
     until(lambda: client.service.pool.preparing.task == "compiling loops for map tiles")
@@ -145,13 +147,13 @@ def test_a_process_killed_while_it_warms_up_is_started_again(serve_with):
     assert client.get(tile()).status_code == 200
 
 
-def test_a_service_with_another_renderer_than_expected_does_not_draw(serve_with):
+def test_an_unexpected_renderer_is_503(serve_with):
     client = serve_with(worker_main, expect_renderer="no such renderer")
     check_problem(client.get(tile()), 503, "graphics", None)
     check_problem(client.get("/readyz"), 503, "not_ready", None)
 
 
-def test_a_first_start_tells_how_far_it_is_and_lets_tiles_wait(serve_with):
+def test_a_first_start_reports_progress_and_tiles_wait(serve_with):
     go = get_context("spawn").Semaphore(0)
     client = serve_with(functools.partial(fake_workers.compiling, go=go))
     with ThreadPoolExecutor(1) as thread:
@@ -171,19 +173,19 @@ def test_a_first_start_tells_how_far_it_is_and_lets_tiles_wait(serve_with):
     assert ready.status_code == 200 and ready.json()["preparing"] is None
 
 
-def test_what_the_work_says_is_for_the_log(serve_with, caplog: pytest.LogCaptureFixture):
+def test_internal_messages_stay_in_the_log(serve_with, caplog: pytest.LogCaptureFixture):
     problem = check_problem(serve_with(fake_workers.leaky).get(tile()), 500, "render", None)
     assert "secret" not in problem["detail"]
 
 
-def test_not_ready_before_the_first_process_is(serve_with):
+def test_not_ready_before_the_first_process(serve_with):
     client = serve_with(fake_workers.never_ready)
     answer = client.get("/readyz")
     check_problem(answer, 503, "not_ready", None)
     assert int(answer.headers["retry-after"]) >= 1
 
 
-def test_not_modified_is_known_before_rendering(serve_with):
+def test_not_modified_is_answered_without_rendering(serve_with):
     client = serve_with(fake_workers.obedient, block_cache_bytes=0, tile_cache_bytes=0)
     tag = client.get(tile()).headers["etag"]
     for given in (tag, f'"other", {tag}', f"W/{tag}", "*"):
@@ -197,7 +199,7 @@ def test_not_modified_is_known_before_rendering(serve_with):
 
 
 @pytest.mark.parametrize("policy", ["204", "404"])
-def test_policies_for_empty_tiles(serve_with, policy: str):
+def test_empty_tiles_follow_the_configured_policy(serve_with, policy: str):
     client = serve_with(fake_workers.obedient, empty_tile=policy)
     answer = client.get(tile(X + 50))
     if policy == "404":
@@ -208,25 +210,25 @@ def test_policies_for_empty_tiles(serve_with, policy: str):
     assert client.get(tile()).status_code == 200
 
 
-def test_the_tag_knows_the_renderer(serve_with, client: Client):
+def test_the_entity_tag_depends_on_the_renderer(serve_with, client: Client):
     fake, real = serve_with(fake_workers.obedient).get(tile()), client.get(tile())
     assert fake.headers["etag"] != real.headers["etag"]
 
 
-def test_an_unforeseen_error_is_a_problem_too(serve_with, monkeypatch: pytest.MonkeyPatch):
+def test_an_unexpected_error_is_a_problem_document(serve_with, monkeypatch: pytest.MonkeyPatch):
     client = serve_with(fake_workers.obedient)
     monkeypatch.setattr(client.service.levels, "names", lambda: 1 / 0)
     problem = check_problem(client.get("/levels"), 500, "internal", None)
     assert "division" not in problem["detail"]
 
 
-def test_public_url(serve_with):
+def test_links_use_the_public_url(serve_with):
     client = serve_with(fake_workers.obedient, public_url="https://maps.example/shade/")
     (template,) = client.get("/levels/hills/WebMercatorQuad/tilejson.json").json()["tiles"]
     assert template == "https://maps.example/shade/levels/hills/tiles/WebMercatorQuad/{z}/{x}/{y}.png"
 
 
-def test_named_origins_alone(serve_with):
+def test_only_configured_origins_get_cors_headers(serve_with):
     client = serve_with(fake_workers.obedient, cors_origins=("https://a.example",))
     theirs, others = (client.get("/levels", headers={"Origin": f"https://{name}.example"}) for name in "ab")
     assert theirs.headers["access-control-allow-origin"] == "https://a.example"

@@ -1,5 +1,5 @@
-"""Frames of films in the queue and in render processes: behind all others, begun again where they are lost, planned from one to the
-next whoever draws them.
+"""Frames of films as jobs: lower priority than pictures, retries of lost frames, and plans handed from frame to frame
+across workers.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def pending(job: Any, arrived_s: float) -> PendingJob:
     return PendingJob(job, None, arrived_s, is_background=isinstance(job, FrameJob))  # type: ignore[arg-type]
 
 
-def test_whoever_asks_for_a_picture_goes_before_a_frame_that_came_earlier():
+def test_pictures_go_before_earlier_frames():
     queue = JobQueue(1, ExpectedTimes())
     first, tile, plan = pending(frame(), 0.0), pending(block(1), 1.0), pending(order("map"), BACKGROUND_PENALTY_S - 1.0)
     for each in (first, tile, plan):
@@ -59,7 +59,7 @@ def test_whoever_asks_for_a_picture_goes_before_a_frame_that_came_earlier():
     assert taken == [tile, plan, first]
 
 
-def test_a_frame_has_its_turn_under_a_load_that_does_not_end():
+def test_a_frame_is_not_starved_by_a_steady_load():
     queue = JobQueue(1, ExpectedTimes())
     first, late = pending(frame(), 0.0), pending(block(1), BACKGROUND_PENALTY_S + 30.0)
     queue.put(first)
@@ -67,7 +67,7 @@ def test_a_frame_has_its_turn_under_a_load_that_does_not_end():
     assert queue.take(BACKGROUND_PENALTY_S + 30.0) is first
 
 
-def test_frames_leave_one_process_to_others_however_fast_they_are():
+def test_frames_leave_one_process_for_pictures():
     queue = JobQueue(3, ExpectedTimes())
     queue.expected.learn(frame(), 0.001)
     for number in range(3):
@@ -79,7 +79,7 @@ def test_frames_leave_one_process_to_others_however_fast_they_are():
     assert queue.take(1.0) is tile
 
 
-def test_frames_that_wait_keep_nobody_out():
+def test_waiting_frames_do_not_count_as_queued_pictures():
     queue = JobQueue(1, ExpectedTimes())
     queue.put(pending(frame(), 0.0))
     assert (len(queue), len(queue.pictures)) == (1, 0)
@@ -87,7 +87,7 @@ def test_frames_that_wait_keep_nobody_out():
 
 
 class FilmGate:
-    """Holds a process's jobs; ``orders`` are by numbers of frames."""
+    """Gate that holds the jobs of a process. ``orders`` are pairs of frame number and order."""
 
     def __init__(self, *orders: tuple[int, str]) -> None:
         spawn = get_context("spawn")
@@ -102,7 +102,7 @@ class FilmGate:
             self._go.release()
 
 
-def test_pictures_pass_frames_and_a_full_queue_takes_them():
+def test_pictures_pass_frames_and_a_full_queue_accepts_them():
     gate = FilmGate()
 
     async def scenario(pool: Pool) -> None:
@@ -129,7 +129,7 @@ def test_pictures_pass_frames_and_a_full_queue_takes_them():
     with_pool(scenario, gate.target, queue_length=1, queue_work_s=0.1)
 
 
-def test_frames_wait_for_as_long_as_need_be():
+def test_waiting_frames_do_not_time_out():
     gate = FilmGate()
 
     async def scenario(pool: Pool) -> None:
@@ -138,7 +138,7 @@ def test_frames_wait_for_as_long_as_need_be():
         waiting = asyncio.create_task(pool.run(frame()))
         await until(lambda: pool.queued == 1)
         with pytest.raises(RetryLaterError, match="waited longer than the limit of"):
-            await pool.run(block(1))  # which came later, and has to give up by now
+            await pool.run(block(1))  # came later, and times out
         assert not waiting.done()
         gate.open(2)
         await running
@@ -147,7 +147,7 @@ def test_frames_wait_for_as_long_as_need_be():
     with_pool(scenario, gate.target, queue_timeout_s=1.0)
 
 
-def test_a_frame_whose_process_is_killed_is_drawn_again_from_the_same_plans():
+def test_a_frame_of_a_killed_process_is_retried_with_its_plans():
     gate = FilmGate()
 
     async def scenario(pool: Pool) -> None:
@@ -166,7 +166,7 @@ def test_a_frame_whose_process_is_killed_is_drawn_again_from_the_same_plans():
     with_pool(scenario, gate.target)
 
 
-def test_a_frame_that_ends_two_processes_is_told_of():
+def test_a_frame_that_crashes_two_processes_is_an_error():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerCrashError):
             await pool.run(frame(3))
@@ -175,7 +175,7 @@ def test_a_frame_that_ends_two_processes_is_told_of():
     with_pool(scenario, functools.partial(fake_workers.filming, orders=((3, "crash"),)))
 
 
-def test_a_frame_that_nobody_waits_for_is_dropped():
+def test_a_cancelled_frame_is_dropped():
     gate = FilmGate()
 
     async def scenario(pool: Pool) -> None:
@@ -193,12 +193,12 @@ def test_a_frame_that_nobody_waits_for_is_dropped():
 
 
 ALGORITHMS = ["sweep"] * 3 + ["shadow_map"] * 9
-"""What would be taken in each frame: the change is made after five frames that want it, and takes some."""
+"""Preferred algorithm of each frame. The switch happens after five frames that prefer the new one, over several frames."""
 
 
 @pytest.fixture
 def plans(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], Callable[..., Any]]:
-    """``plans(number)`` makes plans by ``ALGORITHMS`` for a frame."""
+    """Return ``plans(number)``, which makes plans by ``ALGORITHMS`` for a frame."""
 
     def plans_of(number: int) -> Callable[..., Any]:
         def plan(descriptor: Any, plan_request: Any, overrides: Any) -> Any:
@@ -209,10 +209,12 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], Callable[..., Any]
     return plans_of
 
 
-def test_frames_that_are_drawn_one_by_one_are_those_of_the_film(
+def test_single_frames_equal_those_of_the_film(
     tmp_path: Path, plans: Callable[[int], Callable[..., Any]], monkeypatch: pytest.MonkeyPatch
 ):
-    """To the bit, through a switch: plans go from job to job as they go from frame to frame, also through a pipe."""
+    """Frames are equal to the bit, also through a switch: jobs hand plans on as a film does from frame to frame, and
+    through a pipe.
+    """
     view = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0], "size": [96, 64]}
     path = write_level(tmp_path, "hills", views={"eye": view})
     scene = build_scene(load_level(path))
@@ -236,7 +238,7 @@ def test_frames_that_are_drawn_one_by_one_are_those_of_the_film(
     scene.close()
 
 
-def test_frames_of_one_film_are_equal_jobs_until_they_are_drawn():
+def test_equal_frames_differ_by_their_plan_handover():
     assert frame(0) == frame(0) and hash(frame(0)) == hash(frame(0))
     one, other = PlanHandover(1), PlanHandover(1)  # type: ignore[arg-type]
     assert frame(1, one) == frame(1, one) != frame(1, other), "plans that were made apart are others"

@@ -1,4 +1,4 @@
-"""What plans go by may change while a pool runs; idle work may change it, of one level alone."""
+"""The basis of plans changes while a pool runs. Idle work changes it for one level."""
 
 import asyncio
 import functools
@@ -20,14 +20,14 @@ OTHER = LevelKey(path=Path("other.yaml"), version="other")
 
 
 class PlanGate(Gate):
-    """A gate before processes that plan."""
+    """Gate in front of processes that plan."""
 
     def __init__(self) -> None:
         super().__init__()
         self.target = functools.partial(fake_workers.planning, **self.target.keywords)
 
 
-def test_versions():
+def test_plan_versions_depend_on_profile_and_probes():
     device = profile()
     basis = PlanBasis(device)
     assert PlanBasis().version_of(LEVEL) == ""
@@ -51,14 +51,14 @@ def drawn(answer: object) -> str:
     return answer.plan_version
 
 
-def test_all_processes_take_up_another_basis():
+def test_all_processes_adopt_a_new_basis():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
         await until(lambda: len(pool.pids) == 3)
         for first, basis in enumerate([None, PlanBasis(profile()), PlanBasis(profile(took_s=2.0))]):
             pool.basis = basis or pool.basis
-            # as many at a time as there are processes, so that each has one
+            # one job at a time for each process
             light = [asyncio.create_task(pool.run(block(10 * first + each))) for each in range(3)]
             await asyncio.gather(*(gate.begun() for _ in range(2)))
             gate.open(3)
@@ -68,7 +68,7 @@ def test_all_processes_take_up_another_basis():
     with_pool(scenario, gate.target, workers=3)
 
 
-def test_what_is_asked_for_after_a_change_is_drawn_by_it():
+def test_requests_after_a_change_use_the_new_basis():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
@@ -78,7 +78,7 @@ def test_what_is_asked_for_after_a_change_is_drawn_by_it():
         after = asyncio.create_task(pool.run(block(1)))
         await asyncio.sleep(0)
         gate.open()
-        assert drawn(await before) == ""  # as it was begun, and told so
+        assert drawn(await before) == ""  # drawn by the basis at its start
         assert pool.finished(block(1)) is None
         await gate.begun()
         gate.open()
@@ -89,7 +89,7 @@ def test_what_is_asked_for_after_a_change_is_drawn_by_it():
     with_pool(scenario, gate.target)
 
 
-def test_what_waits_at_a_change_is_drawn_by_it():
+def test_queued_jobs_use_the_new_basis():
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
@@ -102,7 +102,7 @@ def test_what_waits_at_a_change_is_drawn_by_it():
     with_pool(scenario, gate.target)
 
 
-def test_a_process_that_is_started_later_goes_by_it():
+def test_a_process_started_later_uses_the_new_basis():
     async def scenario(pool: Pool) -> None:
         await pool.settled()
         pool.basis = PlanBasis(profile())
@@ -123,7 +123,7 @@ def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatc
             pool.basis = pool.basis.with_probed({LEVEL.version: str(found)})
 
         assert drawn(await pool.run(block(1))) == ""
-        pool.idle.add(IdleJob(os.getenv, (), note, failures.append))  # it needs an argument
+        pool.idle.add(IdleJob(os.getenv, (), note, failures.append))  # fails: it needs an argument
         pool.idle.add(IdleJob(abs, (-3,), note, failures.append, lambda: False))
         pool.idle.add(IdleJob(abs, (-5,), note, failures.append))
         await until(lambda: pool.plan_version(LEVEL) != "")
@@ -136,7 +136,7 @@ def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatc
     with_pool(scenario, fake_workers.planning)
 
 
-def test_nothing_is_begun_while_something_is_drawn(monkeypatch: pytest.MonkeyPatch):
+def test_idle_work_waits_until_nothing_is_drawn(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
     monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
     gate = PlanGate()

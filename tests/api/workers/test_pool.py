@@ -20,7 +20,7 @@ from tests.api.workers import fake_workers
 
 LEVEL = LevelKey(path=Path("level.yaml"), version="1")
 SOON_S = 30.0
-"""Much longer than anything here takes."""
+"""Much longer than any test here takes."""
 
 
 def order(view: str) -> PlanJob:
@@ -32,7 +32,7 @@ def block(x: int) -> BlockJob:
 
 
 def with_pool(scenario: Callable[[Pool], Awaitable[None]], target=fake_workers.obedient, **settings) -> None:
-    """Run a scenario with a pool of one process, and make sure that it leaves no process behind."""
+    """Run a scenario with a pool of one process, and check that no process remains."""
 
     async def run() -> set[int]:
         pool = Pool(Settings(**{"workers": 1, **settings}), target)
@@ -57,13 +57,13 @@ def alive(pid: int) -> bool:
 
 
 async def until(true: Callable[[], bool]) -> None:
-    """Let the event loop run until something is so; the scenario's time limit ends it else."""
+    """Run the event loop until a condition holds. The time limit of the scenario ends it otherwise."""
     while not true():
         await asyncio.sleep(0.005)
 
 
 class Gate:
-    """Holds a process's jobs: ``begun`` tells that one has begun, ``open`` lets it go on."""
+    """Gate that holds the jobs of a process: ``begun`` waits for a job to begin, ``open`` lets it go on."""
 
     def __init__(self) -> None:
         spawn = get_context("spawn")
@@ -78,7 +78,7 @@ class Gate:
             self._go.release()
 
 
-def test_answers():
+def test_a_pool_answers_a_plan_job():
     async def scenario(pool: Pool) -> None:
         answer = await pool.run(order("map"))
         assert isinstance(answer, PlanAnswer)
@@ -89,7 +89,7 @@ def test_answers():
     with_pool(scenario)
 
 
-def test_what_a_process_compiles_before_it_is_ready_is_told(caplog: pytest.LogCaptureFixture):
+def test_compilation_before_readiness_is_reported(caplog: pytest.LogCaptureFixture):
     gate = get_context("spawn").Semaphore(0)
 
     async def run() -> None:
@@ -108,7 +108,7 @@ def test_what_a_process_compiles_before_it_is_ready_is_told(caplog: pytest.LogCa
     assert caplog.text.count("compiling loops for map tiles") == 1
 
 
-def test_a_job_may_be_prepared_for_longer_than_a_picture_may_take():
+def test_the_render_timeout_excludes_compilation():
     async def run() -> None:
         pool = Pool(Settings(workers=1, render_timeout_s=1.0), functools.partial(fake_workers.compiling, steps=4, step_s=0.5))
         pool.open()
@@ -146,7 +146,7 @@ def test_missing_loops_are_compiled_in_the_background(monkeypatch: pytest.Monkey
     asyncio.run(run())
 
 
-def test_a_service_that_stops_ends_what_compiles_in_the_background(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_a_stopping_service_ends_background_compilation(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "store"))
 
     async def run() -> int:
@@ -161,7 +161,7 @@ def test_a_service_that_stops_ends_what_compiles_in_the_background(monkeypatch: 
     assert asyncio.run(run()) == -signal.SIGKILL
 
 
-def test_the_others_start_when_the_first_is_ready():
+def test_other_workers_start_when_the_first_is_ready():
     async def scenario(pool: Pool) -> None:
         assert not pool.pids
         await pool.settled()
@@ -171,7 +171,7 @@ def test_the_others_start_when_the_first_is_ready():
     with_pool(scenario, workers=3)
 
 
-def test_equal_jobs_are_one_job():
+def test_equal_jobs_are_deduplicated():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -185,7 +185,7 @@ def test_equal_jobs_are_one_job():
     with_pool(scenario, gate.target)
 
 
-def test_finished_blocks_are_kept_within_their_bytes():
+def test_finished_blocks_are_cached_within_a_byte_limit():
     async def scenario(pool: Pool) -> None:
         first = await pool.run(block(1))
         assert pool.finished(block(1)) is first
@@ -198,7 +198,7 @@ def test_finished_blocks_are_kept_within_their_bytes():
     with_pool(scenario, block_cache_bytes=100)  # the tiles of a block take 64
 
 
-def test_a_client_with_too_much_in_the_queue_is_refused_alone():
+def test_only_a_client_with_a_full_queue_is_refused():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -208,7 +208,7 @@ def test_a_client_with_too_much_in_the_queue_is_refused_alone():
         await until(lambda: pool.queued == 2)
         with pytest.raises(BusyError, match="2 pictures of this client are queued"):
             await pool.run(order("too many"), "one")
-        again = asyncio.create_task(pool.run(order("queued 1"), "one"))  # no new job, so there is room
+        again = asyncio.create_task(pool.run(order("queued 1"), "one"))  # no new job, so it is admitted
         other = asyncio.create_task(pool.run(order("too many"), "other"))
         gate.open(4)
         await asyncio.gather(begun, again, other, *queued)
@@ -216,7 +216,7 @@ def test_a_client_with_too_much_in_the_queue_is_refused_alone():
     with_pool(scenario, gate.target, queue_work_s=1.2)  # a plan is expected to take 0.5 s
 
 
-def test_a_job_is_paid_for_by_who_waits_for_it():
+def test_a_job_counts_for_the_clients_that_wait_for_it():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -236,7 +236,7 @@ def test_a_job_is_paid_for_by_who_waits_for_it():
     with_pool(scenario, gate.target)
 
 
-def test_one_who_goes_does_not_take_the_answer_from_others():
+def test_a_cancelled_client_does_not_cancel_others():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -251,7 +251,7 @@ def test_one_who_goes_does_not_take_the_answer_from_others():
     with_pool(scenario, gate.target)
 
 
-def test_what_nobody_waits_for_is_dropped_from_the_queue():
+def test_a_job_that_nobody_waits_for_is_dropped():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -269,7 +269,7 @@ def test_what_nobody_waits_for_is_dropped_from_the_queue():
     with_pool(scenario, gate.target)
 
 
-def test_what_has_begun_is_finished_and_kept_though_nobody_waits():
+def test_a_running_job_finishes_and_is_cached_after_cancelling():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -286,19 +286,19 @@ def test_what_has_begun_is_finished_and_kept_though_nobody_waits():
     ("view", "error"),
     [("refuse", InputError), ("fail", RenderError), ("doubt", GraphicsError), ("crash", WorkerCrashError)],
 )
-def test_an_error_is_its_own_jobs_alone(view: str, error: type[Exception]):
+def test_an_error_affects_only_its_own_job(view: str, error: type[Exception]):
     async def scenario(pool: Pool) -> None:
         for _ in range(2):
             with pytest.raises(error):
                 await pool.run(order(view))
             assert isinstance(await pool.run(order("map")), PlanAnswer)
-        replaced = 4 if view in ("doubt", "crash") else 0  # each is tried twice
+        replaced = 4 if view in ("doubt", "crash") else 0  # each job is tried twice
         assert pool.counters.started == 1 + replaced
 
     with_pool(scenario)
 
 
-def test_a_job_that_takes_too_long_is_given_up_and_its_process_ended():
+def test_a_job_over_its_time_limit_ends_its_process():
     async def scenario(pool: Pool) -> None:
         await pool.run(order("map"))
         (pid,) = pool.pids
@@ -311,7 +311,7 @@ def test_a_job_that_takes_too_long_is_given_up_and_its_process_ended():
     with_pool(scenario, render_timeout_s=0.5)
 
 
-def test_a_process_killed_in_the_middle_of_a_job():
+def test_a_job_of_a_killed_process_is_retried():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -327,7 +327,7 @@ def test_a_process_killed_in_the_middle_of_a_job():
     with_pool(scenario, gate.target)
 
 
-def test_a_process_killed_while_it_is_idle_is_replaced_unasked():
+def test_a_process_killed_while_idle_is_replaced():
     async def scenario(pool: Pool) -> None:
         await until(lambda: pool.ready)
         (pid,) = pool.pids
@@ -348,7 +348,7 @@ def test_processes_are_recycled():
 
 
 @pytest.mark.parametrize(("target", "error"), [(fake_workers.unable, GraphicsError), (fake_workers.stillborn, WorkerStartError)])
-def test_a_pool_that_cannot_start_says_so(target, error):
+def test_a_pool_that_cannot_start_raises_for_all_jobs(target, error):
     async def scenario(pool: Pool) -> None:
         with pytest.raises(error):
             await pool.run(order("waits for the first start"))
@@ -359,7 +359,7 @@ def test_a_pool_that_cannot_start_says_so(target, error):
     with_pool(scenario, target)
 
 
-def test_a_start_that_never_ends_is_given_up():
+def test_a_start_that_never_ends_times_out():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerStartError, match="warm up"):
             await pool.run(order("map"))
@@ -367,7 +367,7 @@ def test_a_start_that_never_ends_is_given_up():
     with_pool(scenario, fake_workers.never_ready, start_timeout_s=0.5)
 
 
-def test_closing_fails_what_is_on_its_way():
+def test_closing_fails_running_and_queued_jobs():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -387,9 +387,9 @@ def test_closing_fails_what_is_on_its_way():
     with_pool(scenario, gate.target)
 
 
-def test_closing_at_once_leaves_nothing():
+def test_closing_at_once_leaves_no_process():
     async def scenario(pool: Pool) -> None:
-        await asyncio.sleep(0)  # the processes are just being started
+        await asyncio.sleep(0)  # the processes are starting
 
     before = set(get_context("spawn").active_children())
     with_pool(scenario, workers=2)
@@ -401,7 +401,7 @@ def test_several_processes_work_at_once():
 
     async def scenario(pool: Pool) -> None:
         gate.open()
-        await pool.run(block(0))  # so that it is known how little such blocks take
+        await pool.run(block(0))  # lets the pool learn how fast such blocks are
         await gate.begun()
         both = [asyncio.create_task(pool.run(block(n))) for n in (1, 2)]
         await gate.begun()

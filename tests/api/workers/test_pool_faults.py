@@ -1,4 +1,4 @@
-"""Render processes that stop, fail or keep others waiting: everything has an end, and the pool goes on."""
+"""Render processes that stop, fail or block others: every wait ends, and the pool continues."""
 
 import asyncio
 import errno
@@ -32,8 +32,8 @@ def view(size: tuple[int, int] = (640, 480), **asked) -> SnapshotJob:
     return SnapshotJob(level=LEVEL, view="map", format="png", size=size, request=request)
 
 
-def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyPatch):
-    """The pipe of the next process cannot be made, twice; then descriptors are free again."""
+def test_a_worker_slot_survives_a_lack_of_descriptors(monkeypatch: pytest.MonkeyPatch):
+    """Creating the pipe of the next process fails twice, then descriptors are free again."""
     real, left = piped_process.get_context, [2]
 
     class NoPipes:
@@ -64,7 +64,7 @@ def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyP
     with_pool(scenario)
 
 
-def test_a_place_that_has_ended_is_told():
+def test_an_ended_worker_slot_is_reported():
     async def scenario(pool: Pool) -> None:
         await until(lambda: pool.ready)
         assert pool.whole
@@ -74,7 +74,7 @@ def test_a_place_that_has_ended_is_told():
     with_pool(scenario)
 
 
-def test_an_idle_process_that_is_stopped_is_not_ready_and_is_replaced(monkeypatch: pytest.MonkeyPatch):
+def test_a_stopped_idle_process_is_replaced(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(pool_module, "HEARTBEAT_INTERVAL_S", 0.2)
     monkeypatch.setattr(pool_module, "HEARTBEAT_TIMEOUT_S", 0.2)
 
@@ -90,7 +90,7 @@ def test_an_idle_process_that_is_stopped_is_not_ready_and_is_replaced(monkeypatc
     with_pool(scenario)
 
 
-def test_a_process_that_is_stopped_in_the_middle_of_a_job(monkeypatch: pytest.MonkeyPatch):
+def test_a_job_of_a_stopped_process_is_retried(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(worker_process, "STOPPED_CHECK_S", 0.1)
     gate = Gate()
 
@@ -106,7 +106,7 @@ def test_a_process_that_is_stopped_in_the_middle_of_a_job(monkeypatch: pytest.Mo
     with_pool(scenario, gate.target)
 
 
-def test_waiting_has_an_end():
+def test_a_queued_job_times_out():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -123,7 +123,7 @@ def test_waiting_has_an_end():
     with_pool(scenario, gate.target, queue_timeout_s=0.3)
 
 
-def test_who_would_wait_too_long_is_refused_at_once():
+def test_a_job_with_too_long_an_expected_wait_is_refused():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
@@ -143,7 +143,7 @@ def test_who_would_wait_too_long_is_refused_at_once():
     with_pool(scenario, gate.target, queue_timeout_s=20.0)
 
 
-def test_what_keeps_timing_out_is_set_aside_and_nothing_else():
+def test_repeated_timeouts_open_the_breaker_of_one_level():
     async def scenario(pool: Pool) -> None:
         hang = order("hang")
         for _ in range(2):
@@ -160,8 +160,8 @@ def test_what_keeps_timing_out_is_set_aside_and_nothing_else():
     with_pool(scenario, render_timeout_s=0.3)
 
 
-def test_a_timeout_is_no_failed_start(monkeypatch: pytest.MonkeyPatch):
-    """Else the next process would come only after pauses that double."""
+def test_a_timeout_does_not_count_as_a_failed_start(monkeypatch: pytest.MonkeyPatch):
+    """Otherwise the next process would start only after backoffs that double."""
     monkeypatch.setattr(pool_module, "INITIAL_BACKOFF_S", 1000.0)
 
     async def scenario(pool: Pool) -> None:
@@ -174,7 +174,7 @@ def test_a_timeout_is_no_failed_start(monkeypatch: pytest.MonkeyPatch):
     with_pool(scenario, render_timeout_s=0.2)
 
 
-def test_a_job_whose_processes_die_is_tried_twice():
+def test_a_job_that_crashes_its_process_is_tried_twice():
     async def scenario(pool: Pool) -> None:
         with pytest.raises(WorkerCrashError):
             await pool.run(order("crash"))
@@ -187,7 +187,7 @@ def pending(job, arrived_s: float) -> PendingJob:
     return PendingJob(job, None, arrived_s)  # type: ignore[arg-type]
 
 
-def test_light_jobs_pass_heavy_ones_but_not_for_ever():
+def test_light_jobs_pass_heavy_ones_for_a_limited_time():
     queue = JobQueue(1, ExpectedTimes())
     queue.expected.learn(view(), 30.0)
     queue.expected.learn(block(0), 0.1)
@@ -199,7 +199,7 @@ def test_light_jobs_pass_heavy_ones_but_not_for_ever():
     assert queue.take(40.0) is heavy
 
 
-def test_one_process_is_left_to_light_jobs():
+def test_one_process_is_reserved_for_light_jobs():
     queue = JobQueue(3, ExpectedTimes())
     queue.expected.learn(block(0), 0.1)
     slow = [view((640 + n, 480)) for n in range(4)]
@@ -221,7 +221,7 @@ def test_a_single_process_does_heavy_jobs_too():
     assert queue.take(0.0) is not None
 
 
-def test_expected_times_follow_what_was_measured():
+def test_expected_times_follow_measurements():
     expected = ExpectedTimes()
     assert not expected.is_light(block(0))
     expected.learn(block(0), 1.0)
@@ -233,7 +233,7 @@ def test_expected_times_follow_what_was_measured():
     assert expected.of(view((2560, 2048))) == pytest.approx(16.0), "a snapshot takes as long as it has pixels"
 
 
-def test_set_aside_levels_come_back_and_stay_away_longer_each_time():
+def test_the_breaker_closes_after_pauses_that_double():
     now = [0.0]
     aside = CircuitBreaker(lambda: now[0])
     aside.failed(block(0))
@@ -251,7 +251,7 @@ def test_set_aside_levels_come_back_and_stay_away_longer_each_time():
     assert aside.seconds_left(block(0)) == 0.0
 
 
-def test_what_a_request_asks_for_sets_aside_only_what_asks_the_same():
+def test_the_breaker_opens_only_for_jobs_with_equal_options():
     aside = CircuitBreaker(lambda: 0.0)
     for _ in range(2):
         aside.failed(view(algorithm="shadow_volume"))
@@ -276,7 +276,7 @@ while True: pass
 
 @pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's own")
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_process_ends_with_a_parent_that_is_killed_whatever_it_does(stopped: bool):
+def test_a_process_ends_with_its_killed_parent(stopped: bool):
     parent = subprocess.Popen([sys.executable, "-c", PARENT, CHILD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
     pid = int(parent.stdout.readline().split()[0])

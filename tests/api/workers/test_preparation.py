@@ -1,4 +1,4 @@
-"""What an idle render process prepares for later requests."""
+"""Preparation of levels by an idle render process."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_first_block_lies_in_the_middle_of_the_level(hills_level: Path) -> None:
     assert abs(finer.block_x / ratio - block.block_x) <= 1 and abs(finer.block_y / ratio - block.block_y) <= 1
 
 
-def test_a_prepared_level_is_open_and_its_sky_is_known(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_preparation_opens_the_level_and_its_sky_view(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (block,) = first_blocks(ServedLevels([hills_level]))
     state, found = WorkerState(gl.renderer), []
     monkeypatch.setattr(preparation, "sky_view", lambda elevation, world: found.append(elevation))
@@ -37,7 +37,7 @@ def test_a_prepared_level_is_open_and_its_sky_is_known(gl, hills_level: Path, mo
     scene.close()
 
 
-def test_a_level_that_cannot_be_opened_is_left_to_its_first_request(gl, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_level_that_cannot_be_opened_is_only_logged(gl, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (gone,) = first_blocks(ServedLevels([write_level(tmp_path, "gone")]))
     (tmp_path / "gone.tif").unlink()
     prepare_level(gone, WorkerState(gl.renderer))

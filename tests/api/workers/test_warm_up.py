@@ -5,7 +5,7 @@ from skugga.api.workers.warm_up import warm_up
 from skugga.terrain.errors import GraphicsError
 
 
-def test_a_wall_casts_its_shadow_where_it_belongs(gl):
+def test_warm_up_accepts_a_renderer_with_correct_shadows(gl):
     assert warm_up() == gl.renderer
     assert warm_up(gl.renderer[:4]) == gl.renderer
 

@@ -1,4 +1,4 @@
-"""What the selection's benchmark measured is read once."""
+"""Fixture that reads the measured table of the selection benchmark once."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ from benchmarks.selection.table import read_table
 
 @pytest.fixture(scope="session")
 def kept() -> tuple[list[dict[str, Any]], Any]:
-    """The views of the table that is kept in the repository, and the device that they were measured on."""
+    """Return the views of the table in the repository, and the device that they were measured on."""
     return read_table()

@@ -1,4 +1,4 @@
-"""What accuracy costs, of made-up views by hand; and that the pages say what the kept table says."""
+"""Cost of accuracy, computed by hand for made-up views, and agreement of the pages with the table in the repository."""
 
 from pathlib import Path
 
@@ -11,31 +11,31 @@ ROOT = Path(__file__).parents[3]
 
 
 def view(family: str, *rows: tuple[float, float], interior: float = 0.0) -> dict:
-    """A view whose rows are (milliseconds, share of the cast shadow that is wrong)."""
+    """Return a view whose rows are (milliseconds, share of the cast shadow that is wrong)."""
     made = {f"row {n}": {"ms": ms, "wrong_cast": wrong, "interior": interior} for n, (ms, wrong) in enumerate(rows)}
     return {"name": family, "family": family, "error": "wrong_cast", "noise_floor": 0.0, "rows": made}
 
 
-def test_the_cheapest_plan_of_each_goal_is_the_fastest_that_meets_it():
+def test_the_cheapest_plan_is_the_fastest_that_meets_the_goal():
     assert cheapest_ms(view("a", (10.0, 0.09), (20.0, 0.02), (15.0, 0.05), (40.0, 0.001))) == {
         "10 %": 10.0, "3 %": 20.0, "1 %": 40.0, "0.3 %": 40.0,
     }  # fmt: skip
 
 
-def test_what_nothing_meets_has_no_price_and_is_counted_apart():
+def test_unreachable_goals_have_no_price():
     views = [view("a", (10.0, 0.09), (20.0, 0.002)), view("a", (10.0, 0.09), (20.0, 0.05)), view("a", (5.0, 0.2), (6.0, 0.3))]
     finest = prices(views)[-1]
     assert finest.ratios.tolist() == [2.0]
     assert finest.views == 3
 
 
-def test_interior_errors_and_the_noise_of_truth_count_as_the_judge_has_it():
+def test_prices_respect_interior_errors_and_noise_of_truth():
     assert cheapest_ms(view("a", (10.0, 0.0), (20.0, 0.0), interior=0.01)) == {}
     noisy = view("a", (10.0, 0.008), (20.0, 0.002)) | {"noise_floor": 0.003}
     assert cheapest_ms(noisy) == dict.fromkeys(("10 %", "3 %", "1 %"), 10.0), "of 0.3 % truth cannot tell"
 
 
-def test_the_sentence_and_the_table_have_the_median_and_the_ninetieth_percentile():
+def test_sentence_and_table_have_median_and_90th_percentile():
     views = [view("a", (10.0, 0.09), (10.0 * ratio, 0.001)) for ratio in range(1, 12)]
     finest = prices(views)[-1]
     assert (finest.median, finest.p90) == (6.0, 10.0)
@@ -44,22 +44,22 @@ def test_the_sentence_and_the_table_have_the_median_and_the_ninetieth_percentile
     assert table(views).splitlines()[-1].endswith("| 6.00, 10.00 (11) |")
 
 
-def test_a_page_keeps_all_but_the_part_between_the_marks():
+def test_only_the_part_between_the_marks_is_replaced():
     text = f"a\n<!-- {MARK} -->\nold\n<!-- end of {MARK} -->\nb\n"
     assert with_part(text, "new\n") == text.replace("old", "new")
     with pytest.raises(ValueError, match="the page has no"):
         with_part("a", "new\n")
 
 
-def test_the_figure_is_the_same_twice_and_has_a_point_for_each_view():
+def test_the_figure_is_reproducible_with_a_point_per_view():
     views = [view(family, (10.0, 0.09), (10.0 * ratio, 0.001)) for ratio in (1, 2, 3) for family in ("a", "b")]
     drawn = figure_svg(views)
     assert drawn == figure_svg(views)
     assert drawn.count("<use") - figure_svg(views[:-1]).count("<use") == 2 * 3, "in its family and in all, for three goals"
 
 
-def test_pages_say_what_the_kept_table_says(kept):
-    """`python -m benchmarks.selection judge --write` mends them."""
+def test_pages_agree_with_the_table(kept):
+    """``python -m benchmarks.selection judge --write`` updates them."""
     views, _ = kept
     said = " ".join(sentence(views).split())
     for name in ("README.md", "docs/accuracy.md"):

@@ -1,4 +1,4 @@
-"""Constants of the error model: those that made errors come back, and one sum is the other."""
+"""Constants of the error model: the fit recovers known constants, and two ways to compute the sum agree."""
 
 from __future__ import annotations
 
@@ -48,7 +48,10 @@ TRUE = ErrorModel(
 
 
 def described(kind: CasterKind, far_px: float) -> Descriptor:
-    """A perspective view of 640 x 512 pixels with shadows in two octaves; ``far_px`` is how far what differs reaches."""
+    """Return a perspective view of 640 x 512 pixels with shadows in two octaves.
+
+    ``far_px`` is the reach in pixels of differing shadow.
+    """
     ladder_px = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0])
     bands = tuple(
         CastBand(
@@ -65,7 +68,7 @@ def described(kind: CasterKind, far_px: float) -> Descriptor:
 
 
 def case(descriptor: Descriptor, step: Step, error: float | None = None, inside: float = 0.0) -> FitCase:
-    """A row that has the error that ``TRUE`` makes, or another one."""
+    """Return a row with the error that the model ``TRUE`` expects, or with a given one."""
     view = {"light": SUN, "error": "wrong_cast"}
     if error is None:
         error = FitCase(view, descriptor, (step,), {}).expected(TRUE).wrong_cast
@@ -78,7 +81,7 @@ def uniform(kind: CasterKind, texel_m: float) -> Step:
 
 
 def made() -> list[FitCase]:
-    """Maps of each kind of casters, from textures far finer than a pixel to far coarser ones."""
+    """Return maps of each kind of casters, from textures far finer than a pixel to far coarser ones."""
     cases = []
     for kind in KINDS:
         for far_px in (80.0, 300.0, 1000.0):
@@ -89,7 +92,7 @@ def made() -> list[FitCase]:
     return cases
 
 
-def test_errors_that_known_constants_made_give_them_back():
+def test_the_fit_recovers_known_constants():
     found = fit_model(made())
     for kind in get_args(CasterKind):
         its, true = found.counted[kind], TRUE.counted[kind]
@@ -97,22 +100,22 @@ def test_errors_that_known_constants_made_give_them_back():
     assert found.perspective == pytest.approx(TRUE.perspective, rel=0.05)
     assert found.floor["shadow_map"] == pytest.approx(2e-3, rel=0.1)
     assert found.floor["perspective_shadow_map"] == pytest.approx(1e-3, rel=0.1)
-    assert found.spread["shadow_map"] == found.spread["perspective_shadow_map"] == MIN_SPREAD  # nothing scatters
+    assert found.spread["shadow_map"] == found.spread["perspective_shadow_map"] == MIN_SPREAD  # no scatter
     again = [(one.expected(found).wrong_cast, one.error) for one in made()]
     assert np.allclose(*np.transpose(again), rtol=0.02, atol=ERROR_OFFSET / 10.0)
-    assert np.ptp([error for _, error in again]) > 0.3  # from fine to coarse, else nothing would be told
+    assert np.ptp([error for _, error in again]) > 0.3  # from fine to coarse; otherwise the test would show nothing
 
 
-def test_what_nothing_was_measured_of_stays_where_it_starts():
+def test_unmeasured_constants_keep_their_initial_values():
     found = fit_model([one for one in made() if "meshes" in one.descriptor.casters])
     of_forest = found.counted["forest"]
     assert (of_forest.most, of_forest.half_px, of_forest.steepness) == pytest.approx(START[6:9], rel=1e-3)
     assert found.counted["meshes"].half_px == pytest.approx(6.0, rel=0.1)
 
 
-def test_floors_scales_and_what_lies_inside_are_those_of_the_rows():
-    """Errors of volumes about 2 % whose logarithms scatter with a logistic distribution of scale 0.3, a quarter of each inside; of
-    a sweep about 0.4 %, always the same.
+def test_the_fit_recovers_floors_spreads_and_interior_errors():
+    """Errors of volumes lie around 2 %. Their logarithms have a logistic distribution of scale 0.3, and a quarter of each
+    error is interior. Errors of a sweep are always 0.4 %.
     """
     chances = (np.arange(200) + 0.5) / 200.0
     errors = (0.02 + ERROR_OFFSET) * (chances / (1.0 - chances)) ** 0.3 - ERROR_OFFSET
@@ -125,11 +128,11 @@ def test_floors_scales_and_what_lies_inside_are_those_of_the_rows():
     assert found.floor["shadow_volume"] == pytest.approx(0.02, rel=0.01)
     assert found.spread["shadow_volume"] == pytest.approx(0.3, rel=0.03)
     assert found.floor["sweep"] == pytest.approx(0.004, rel=1e-6) and found.spread["sweep"] == MIN_SPREAD
-    assert found.floor["hybrid"] == found.floor[DECIMATED] == 0.0  # of which there is no row
+    assert found.floor["hybrid"] == found.floor[DECIMATED] == 0.0  # no row has these
     its = 0.004 * CAST
     assert found.interior["sweep"] == pytest.approx((0.1 * its + INTERIOR_OFFSET) / (its + INTERIOR_OFFSET))
     assert found.interior["hybrid"] == 0.0
-    # What lies inside scatters as errors do, what is expected does not.
+    # Interior errors scatter like errors; expected errors do not.
     assert found.interior["shadow_volume"] == pytest.approx(0.25, rel=0.05)
     assert found.interior_spread["shadow_volume"] == pytest.approx(0.3, rel=0.1)
 
@@ -142,8 +145,8 @@ def test_floors_scales_and_what_lies_inside_are_those_of_the_rows():
         0.4,
     ],
 )
-def test_the_sum_taken_apart_is_that_of_the_error_model(kept, perspective):
-    """On rows of views of every kind, for constants anywhere about where the fit starts."""
+def test_the_vectorized_terms_equal_the_error_model(kept, perspective):
+    """The test takes rows of views of every kind, and random constants around the initial values of the fit."""
     views, _ = kept
     some = [*{view["family"]: view for view in views}.values(), *views[::10]]
     cases = [
@@ -160,7 +163,7 @@ def test_the_sum_taken_apart_is_that_of_the_error_model(kept, perspective):
         assert np.ptp(expected) > 0.05
 
 
-def test_views_without_cast_shadow_tell_nothing_of_its_errors(kept):
+def test_views_without_cast_shadow_give_no_cases(kept):
     views, _ = kept
     without = [view for view in views if view["error"] == "wrong"]
     assert without and not any(cases_of(view) for view in without)
@@ -169,7 +172,7 @@ def test_views_without_cast_shadow_tell_nothing_of_its_errors(kept):
     assert len(cases_of(first)) == len({name for choice, name in first["picks"].items() if not choice.startswith("rules ")})
 
 
-def test_parts_that_are_judged_have_nothing_of_those_that_are_fitted(kept):
+def test_held_out_parts_share_no_terrain_with_the_fit(kept):
     views: list[dict[str, Any]] = kept[0]
     held_out, apart = held_out_views(views), terrains(views)
     for parts in (held_out, apart):
@@ -177,6 +180,6 @@ def test_parts_that_are_judged_have_nothing_of_those_that_are_fitted(kept):
         assert sorted(names) == sorted(view["name"] for view in views) and len(set(names)) == len(names)
     assert len(held_out) == FOLDS and all(len({view["terrain"] for view in part}) == 1 for part in apart)
     places = [{view["terrain"] for view in part} for part in apart]
-    assert sum(map(len, places)) == len(set.union(*places))  # no terrain in two parts
+    assert sum(map(len, places)) == len(set.union(*places))  # no terrain is in two parts
     many = {name for name in set.union(*places) if sum(view["terrain"] == name for view in views) >= FOLDS}
     assert many and all(many <= {view["terrain"] for view in part} for part in held_out)

@@ -1,4 +1,4 @@
-"""What is measured of a view: each row is of one thing alone."""
+"""Rows of a measured view: each row belongs to one distinct plan."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.selector.cost.test_cost_model import described
 
 
 def split_at(far_m: float) -> Plan:
-    """Two maps, of which the nearer ends there."""
+    """Return a plan of two maps, of which the nearer one ends at a distance."""
     plan = make_plan(described(), StandaloneRequest(Shadows(algorithm="shadow_map", map_size=1024, cascades=2), (SUN,)), choices={})
     (kinds,) = (plan.settings[light] for light in plan.settings)
     near, far = next(iter(kinds.values())).cascades
@@ -22,8 +22,8 @@ def split_at(far_m: float) -> Plan:
     return plan.model_copy(update={"settings": {SUN: its}})
 
 
-def test_what_draws_alike_shares_a_row_and_nothing_else_does():
-    """Where a camera's maps are split is no part of a plan's name."""
+def test_only_equal_plans_share_a_row():
+    """The name of a plan does not contain the distance at which its maps are split."""
     plans = {"shadow_map 1024 x2": split_at(32.0), "rules 0.1": split_at(8.0), "rules 0.03": split_at(32.0)}
     plans["rules 0.01"] = split_at(8.0)
     name = "shadow_map-1024-3-16-2cascades"

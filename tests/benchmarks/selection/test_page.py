@@ -1,4 +1,4 @@
-"""The page says what was measured, and the package goes by what was fitted to it."""
+"""The page agrees with the measured table, and the package's constants are fitted to it."""
 
 import json
 from pathlib import Path
@@ -14,21 +14,21 @@ from skugga.selector.cost.error_model import packaged_model as of_the_package
 PAGE = Path(__file__).parents[3] / "docs" / "selection.md"
 
 
-def test_tables_go_between_their_marks_and_nothing_else_changes():
+def test_only_the_tables_between_the_marks_change():
     text = f"before\n{START}old\n{END}after\n"
     assert with_tables(text, "new\n") == f"before\n{START}new\n{END}after\n"
 
 
 @pytest.mark.long
-def test_the_page_has_the_tables_of_what_was_measured():
-    """`python -m benchmarks.selection judge --write` mends it."""
+def test_the_page_agrees_with_the_measured_table():
+    """``python -m benchmarks.selection judge --write`` updates the page."""
     text = PAGE.read_text(encoding="utf-8")
     assert with_tables(text, page(*read_table())) == text
 
 
 @pytest.mark.long
-def test_the_constants_are_those_that_fit_what_was_measured():
-    """`python -m benchmarks.selection fit` mends it."""
+def test_the_constants_are_fitted_to_the_measured_table():
+    """``python -m benchmarks.selection fit`` updates the constants."""
     views, device = read_table()
     again, kept = (json.loads(model.model_dump_json()) for model in (_fitted(views, device), of_the_package()))
     assert _numbers(again) == pytest.approx(_numbers(kept), rel=1e-2, abs=1e-6)

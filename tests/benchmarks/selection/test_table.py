@@ -1,4 +1,4 @@
-"""The table of what was measured: what is written is read back, and what is kept is what it says."""
+"""The measured table: writing and reading round-trip, and the stored lines are consistent."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ THIRDS = tuple(k / 31.0 for k in range(8))
 
 
 def described() -> Descriptor:
-    """A map view under the sun with numbers that take more digits than are kept."""
+    """Return a map view under the sun with numbers of more digits than the table stores."""
     band = CastBand(near_m=0.0, share=1.0, cast=1.0 / 3.0, pixel_m=4.0 / 7.0, differs=THIRDS)
     lights = {SUN: LightFacts(cast_share=1.0 / 3.0, casts={"relief": Casting(share=1.0 / 3.0, bands=(band,))})}
     return Descriptor(
@@ -49,7 +49,7 @@ def viewed(name: str = "a map", count: int = 3) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_what_is_written_is_read_back(tmp_path):
+def test_the_table_survives_a_round_trip(tmp_path):
     path, view = tmp_path / "table.jsonl", viewed()
     write_table([view], DEVICE, path)
     (read,), device = read_table(path)
@@ -57,20 +57,20 @@ def test_what_is_written_is_read_back(tmp_path):
     assert {key: read[key] for key in read if key != "descriptor"} == {key: view[key] for key in view if key != "descriptor"}
     given, back = view["descriptor"], Descriptor.model_validate(read["descriptor"]).model_dump(mode="json")
     assert list(leaves(back)) == pytest.approx(list(leaves(given)), rel=0.5 * 10.0 ** (1 - DIGITS), abs=0.0)
-    assert list(leaves(back)) != list(leaves(given))  # thirds are cut off
+    assert list(leaves(back)) != list(leaves(given))  # thirds are rounded
     assert dict(words(back)) == dict(words(given))
 
 
-def test_a_pick_of_which_there_is_no_row_and_a_row_of_one_plan_alone_are_left_out(tmp_path):
+def test_unmeasured_picks_and_single_rows_are_left_out(tmp_path):
     path, view = tmp_path / "table.jsonl", viewed()
     unmeasured = view | {"picks": view["picks"] | {"planar": "planar"}}
     write_table([unmeasured, viewed("another", 1), viewed("third", 2)], DEVICE, path)
     first, third = read_table(path)[0]
     assert first["picks"] == view["picks"] and third["name"] == "third"
-    assert len(path.read_text(encoding="utf-8").splitlines()) == 4  # what is not read is kept all the same
+    assert len(path.read_text(encoding="utf-8").splitlines()) == 4  # lines that are not read stay in the file
 
 
-def test_what_is_kept_is_written_as_it_was_read(tmp_path, kept):
+def test_rewriting_the_stored_table_changes_no_line(tmp_path, kept):
     views, device = kept
     write_table(views, device, tmp_path / "table.jsonl")
     assert read_table(tmp_path / "table.jsonl") == (views, device)
@@ -79,7 +79,7 @@ def test_what_is_kept_is_written_as_it_was_read(tmp_path, kept):
     )
 
 
-def test_every_line_that_is_kept_is_a_descriptor_with_rows_that_can_be(kept):
+def test_every_stored_line_has_a_valid_descriptor_and_rows(kept):
     device, *lines = map(json.loads, TABLE.read_text(encoding="utf-8").splitlines())
     assert DeviceProfile.model_validate(device) == kept[1]
     assert len({line["name"] for line in lines}) == len(lines)
@@ -95,7 +95,7 @@ def test_every_line_that_is_kept_is_a_descriptor_with_rows_that_can_be(kept):
         assert all(0 <= number < len(line["rows"]) for number in line["picks"].values()), line["name"]
 
 
-def test_enough_views_are_kept_with_every_pick_and_no_more_than_there_may_be(kept):
+def test_the_stored_table_has_enough_views_and_picks(kept):
     views, _ = kept
     assert len(views) >= 60 and all(len(view["rows"]) > 1 for view in views)
     choices = {view["name"]: {choice for choice in view["picks"] if not choice.startswith("rules ")} for view in views}
@@ -108,7 +108,7 @@ def test_enough_views_are_kept_with_every_pick_and_no_more_than_there_may_be(kep
 
 
 def leaves(value: Any):
-    """The numbers of nested lists and dictionaries, in order."""
+    """Yield the numbers of nested lists and dictionaries, in order."""
     if isinstance(value, dict | list | tuple):
         for each in value.values() if isinstance(value, dict) else value:
             yield from leaves(each)
@@ -117,7 +117,7 @@ def leaves(value: Any):
 
 
 def words(value: Any, where: str = ""):
-    """What is no number, by where it stands."""
+    """Yield all values that are no numbers, with their paths."""
     if isinstance(value, dict | list | tuple):
         for key, each in value.items() if isinstance(value, dict) else enumerate(value):
             yield from words(each, f"{where}.{key}")

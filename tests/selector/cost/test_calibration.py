@@ -1,4 +1,4 @@
-"""Profiles of devices: what is measured, what is fitted to it, and what a file may hold."""
+"""Calibration: rates fitted to measured times, and device profiles on disk."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def profile() -> DeviceProfile:
 
 
 @given(st.lists(st.floats(0.5, 500.0), min_size=3, max_size=3), st.integers(0, 99))
-def test_rates_that_made_the_times_are_found_again(rates, seed):
+def test_fitted_rates_recover_the_rates_that_made_the_times(rates, seed):
     names = ("blocks", "pixels", "texels")
     counts = np.random.default_rng(seed).uniform(1.0, 1e5, (12, 3))
     truth = dict(zip(names, rates, strict=True))
@@ -45,25 +45,25 @@ def test_rates_that_made_the_times_are_found_again(rates, seed):
     assert fitted_rates(rows)["planar"] == pytest.approx(truth, rel=1e-6)
 
 
-def test_rates_are_never_negative_and_go_by_relative_errors():
+def test_fitted_rates_minimise_relative_errors_and_stay_positive():
     rows = [({"blocks": 1.0, "pixels": 10.0 * n}, "planar", ms) for n, ms in ((1, 5.0), (10, 4.0), (100, 3.0))]
     rates = fitted_rates(rows)["planar"]
     assert rates["pixels"] == 0.0
-    # the constant c least off in sum of (c/ms - 1)^2 is sum(1/ms) / sum(1/ms^2)
+    # the constant c that minimises the sum of (c/ms - 1)^2 is sum(1/ms) / sum(1/ms^2)
     inverse = np.array([1 / 5.0, 1 / 4.0, 1 / 3.0])
     assert rates["blocks"] * 1e-6 == pytest.approx(inverse.sum() / (inverse**2).sum())
 
 
-def test_a_profile_is_found_by_its_device_and_driver_alone(profile):
+def test_load_profile_requires_same_device_and_driver(profile):
     assert load_profile(RENDERER, VERSION) is None and "not calibrated" in missing_profile_reason(RENDERER, VERSION)
     path = save_profile(profile)
     assert path == profile_path(RENDERER, VERSION) and path.name.startswith("llvmpipe-llvm-15-0-6-256-bits-")
     assert load_profile(RENDERER, VERSION) == profile and missing_profile_reason(RENDERER, VERSION) is None
     assert load_profile(RENDERER, "4.5 Mesa 23") is None and load_profile("another", VERSION) is None
-    assert [each.name for each in path.parent.iterdir()] == [path.name]  # nothing half written is left
+    assert [each.name for each in path.parent.iterdir()] == [path.name]  # no partial file is left
 
 
-def test_a_profile_is_written_whole_or_not_at_all(profile, monkeypatch):
+def test_save_profile_is_atomic(profile, monkeypatch):
     path = save_profile(profile)
     monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
@@ -87,7 +87,7 @@ def test_a_profile_is_written_whole_or_not_at_all(profile, monkeypatch):
         ({"renderer": "another"}, "another device"),
     ],
 )
-def test_a_profile_that_cannot_be_counts_as_none_for_a_reason(profile, change, why):
+def test_load_profile_ignores_invalid_values_with_a_reason(profile, change, why):
     path = save_profile(profile)
     path.write_text(json.dumps(json.loads(path.read_text()) | change), encoding="utf-8")
     assert load_profile(RENDERER, VERSION) is None
@@ -96,19 +96,19 @@ def test_a_profile_that_cannot_be_counts_as_none_for_a_reason(profile, change, w
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"schema_version": 1}'])
-def test_a_broken_file_counts_as_none(profile, text):
+def test_load_profile_ignores_a_broken_file(profile, text):
     save_profile(profile).write_bytes(text)
     assert load_profile(RENDERER, VERSION) is None and "skugga calibrate" in missing_profile_reason(RENDERER, VERSION)
 
 
-def test_a_folder_in_the_files_place_counts_as_none():
+def test_load_profile_ignores_a_folder_at_its_path():
     profile_path(RENDERER, VERSION).mkdir(parents=True)
     assert load_profile(RENDERER, VERSION) is None and "cannot be read" in missing_profile_reason(RENDERER, VERSION)
     profile_path(RENDERER, VERSION).rmdir()
 
 
-def test_a_device_is_measured_on_what_it_draws(gl, monkeypatch):
-    """One small stage: the profile is the device's, and its rates explain the times of every algorithm that ran."""
+def test_calibrate_profiles_the_device_that_draws(gl, monkeypatch):
+    """Calibrate on one small stage. The profile names the device, and its rates explain the times of every algorithm that ran."""
 
     def smallest(folder):
         yield replace(next(each for each in calibration_views(folder) if each.name == "few_balls_small"), grid="few")
@@ -122,12 +122,12 @@ def test_a_device_is_measured_on_what_it_draws(gl, monkeypatch):
     assert {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar"} <= found.residuals.keys()
     assert found.residuals["shadow_map"].rows >= 2
     assert found.rates_ns["shadow_map, perspective"]["look-ups, filter 3"] >= 0.0
-    assert load_profile(found.renderer, found.version) is None  # to keep it is for the caller
+    assert load_profile(found.renderer, found.version) is None  # the caller saves the profile
     save_profile(found)
     assert load_profile(found.renderer, found.version) == found
 
 
-def test_the_made_scenes_show_every_kind_of_work(tmp_path):
+def test_calibration_levels_cover_views_lights_and_casters(tmp_path):
     names, views, lights, kinds = zip(
         *((name, view, light, kinds) for name, _, view, _, light, kinds, _ in calibration_levels(tmp_path)), strict=True
     )

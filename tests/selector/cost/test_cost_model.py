@@ -1,4 +1,4 @@
-"""Work counted from descriptors written by hand, and the times that rates make of it."""
+"""Cost model: work counted from hand-written descriptors, and times predicted from it with rates."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TREES = CasterFacts(kind="forest", count=500, triangles=3000, alpha_share=1.0, h
 
 
 def described(**changes) -> Descriptor:
-    """A perspective view of 640 x 512 pixels, two octaves deep, of which three quarters face the sun."""
+    """Return the descriptor of a perspective view: 640 x 512 pixels, two octaves deep, three quarters facing the sun."""
     bands = tuple(
         Band(near_m=near, far_m=2 * near, share=0.5, low_light_m=(-near, 0.0, -near), high_light_m=(near, near, near))
         for near in (32.0, 64.0)
@@ -62,7 +62,7 @@ def profile(rates_ns: dict[str, dict[str, float]]) -> DeviceProfile:
 
 
 def all_at(rate_ns: float, descriptor: Descriptor, *step) -> DeviceProfile:
-    """A profile with one rate for everything that a step does."""
+    """Return a profile with the same rate for everything that a step does."""
     work = step_work(descriptor, *step)
     return profile({part: dict.fromkeys(counts, rate_ns) for part, counts in work.items()})
 
@@ -73,9 +73,9 @@ def one_map(size: int, texel_m: float, count: int = 1, **more) -> ShadowMapSetti
     return ShadowMapSettings(map_size=size, depth_bits=16, filter=more.pop("filter", 3), cascades=cascades, **more)
 
 
-def test_a_suns_map_covers_what_is_seen_and_a_border_in_whole_steps():
+def test_sun_windows_cover_receivers_and_border_in_whole_steps():
     ((texels, area_m2),) = sun_windows(described(), one_map(1024, 0.25))
-    # 128 m and 64 m of quarter-metre texels, 12 of border at either end, rounded up to 64
+    # 128 m and 64 m of quarter-metre texels, a border of 12 texels at either end, rounded up to a multiple of 64
     assert texels == 576 * 320 and area_m2 == 128.0 * 64.0
     near, far = sun_windows(described(), one_map(1024, 0.25, count=2))
     assert near == (320 * 192, 64.0 * 32.0) and far == (576 * 320, 128.0 * 64.0)
@@ -83,7 +83,7 @@ def test_a_suns_map_covers_what_is_seen_and_a_border_in_whole_steps():
     assert sun_windows(in_map(), one_map(1024, 0.25))[0] == (576 * 320, 128.0 * 64.0)
 
 
-def test_counts_of_a_shadow_map_are_what_its_passes_do():
+def test_step_work_of_a_shadow_map_counts_its_passes():
     ((name, counts),) = step_work(described(), SUN, ("relief", "meshes"), "shadow_map", one_map(1024, 0.25, count=2)).items()
     assert name == "shadow_map, perspective"
     assert counts["maps"] == 2 and counts["fitted pixels"] == 2 * 640 * 512
@@ -94,8 +94,8 @@ def test_counts_of_a_shadow_map_are_what_its_passes_do():
     assert alone["texels of ground"] == alone["ground"] == 0
 
 
-def test_samples_where_something_ends_are_work_like_pixels():
-    """Four samples for each such pixel, or two where there are many (``skugga.terrain.gbuffer.antialias``)."""
+def test_step_work_counts_edge_samples_like_pixels():
+    """An edge pixel takes four samples, or two where edge pixels are many (``skugga.terrain.gbuffer.antialias``)."""
     plain = step_work(described(), SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
     for share, more in ((0.1, 0.4), (0.3, 0.6)):
         edged = described(edge_share=share)
@@ -103,19 +103,19 @@ def test_samples_where_something_ends_are_work_like_pixels():
         of_pixels = {name for name in counts if name.startswith(("fitted", "look-ups"))}
         assert all(counts[name] == pytest.approx((1.0 + more) * plain[name]) for name in of_pixels)
         assert all(counts[name] == plain[name] for name in counts.keys() - of_pixels)
-    # Planar shadows are drawn into all of a picture, and once more into one of four times as many pixels.
+    # Planar shadows are drawn into the whole picture, and again into one of four times as many pixels.
     level, edged = (step_work(described(edge_share=share), SUN, ("meshes",), "planar", None)["planar"] for share in (0.0, 0.1))
     assert edged == {"blocks": 1.0, "pixels": 5.0 * level["pixels"], "triangles": 2.0 * level["triangles"], "trees": 0.0}
 
 
-def test_trees_cost_by_the_share_of_the_level_that_a_map_covers():
+def test_step_work_of_trees_scales_with_the_covered_share():
     lights = {SUN: LightFacts(area_share=0.25)}
     wooded = described(casters=("relief", "forest"), stands=(GROUND, TREES), lights=lights)
     counts = step_work(wooded, SUN, ("forest",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
     assert counts["trees"] == 500 and counts["trees drawn"] == pytest.approx(125.0)
     tree_m2 = 4.0 * (10.0 * np.cos(np.radians(30.0)) + 4.0 * 0.5)
     assert counts["texels of leaves"] == pytest.approx(counts["texels"] * 500 * tree_m2 / (128.0 * 64.0 / 0.25))
-    # Where leaves are known to stop the light of half of what is seen, so dense is the wood round it.
+    # Leaves stop the light of half of the visible ground, so the wood around it is that dense.
     dense = LightFacts(area_share=0.25, casts={"forest": {"share": 0.5, "bands": ()}})
     counts = step_work(described(casters=("relief", "forest"), stands=(GROUND, TREES), lights={SUN: dense}), SUN, ("forest",),
                      "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]  # fmt: skip
@@ -123,7 +123,7 @@ def test_trees_cost_by_the_share_of_the_level_that_a_map_covers():
     assert counts["trees drawn"] == pytest.approx(min(np.log(2.0) * 128.0 * 64.0 / tree_m2, 500.0))
 
 
-def test_counts_of_volumes_grow_with_edges_and_layers():
+def test_step_work_of_volumes_grows_with_edges_and_layers():
     few = step_work(described(), SUN, ("meshes",), "shadow_volume", VolumeSettings())
     assert few["silhouettes, perspective"]["edges"] == 200 and few["silhouettes, perspective"]["ground"] == 0
     counting = few["counting, perspective"]
@@ -132,11 +132,11 @@ def test_counts_of_volumes_grow_with_edges_and_layers():
     assert twice["layers"] == pytest.approx(np.log(4.0) ** 0.5 * counting["facing"])
     assert twice["faces drawn"] == 2 * counting["faces drawn"]
     both = step_work(described(), SUN, ("relief", "meshes"), "shadow_volume", VolumeSettings())["counting, perspective"]
-    # so many faces are drawn in rectangles of 16 x 16 tiles: 20 of them, and sides run through the root of that
+    # these faces are drawn in rectangles of 16 x 16 tiles: 20 rectangles, and each side crosses the square root of 20
     assert both["faces drawn"] == pytest.approx(200 * 20**0.5 + 500 + 0.25 * 20_000)
 
 
-def test_a_hybrid_counts_where_its_map_cannot_decide():
+def test_step_work_of_a_hybrid_counts_undecided_pixels():
     def casting(differs: float) -> Descriptor:
         band = {"near_m": 32.0, "far_m": 128.0, "share": 0.75, "cast": 0.2, "pixel_m": 0.1, "differs": (differs,) * 8}
         light = LightFacts(facing_share=0.75, volume_layers=1.5, casts={"meshes": {"share": 0.1, "bands": (band,)}})
@@ -153,7 +153,7 @@ def test_a_hybrid_counts_where_its_map_cannot_decide():
     assert "shadow_map, perspective" in original and "mask" not in original
 
 
-def test_a_sweep_goes_by_nodes_and_lines_and_the_suns_disc_by_strips():
+def test_step_work_of_a_sweep_counts_nodes_lines_and_sun_strips():
     plain, fine, soft = (
         step_work(described(), SUN, ("relief",), "sweep", settings)["sweep, perspective"]
         for settings in (SweepSettings(), SweepSettings(lines=16), SweepSettings(filter="sun"))
@@ -163,14 +163,14 @@ def test_a_sweep_goes_by_nodes_and_lines_and_the_suns_disc_by_strips():
     assert block["nodes"] == 256 * 256 * 4
 
 
-def test_an_omni_light_draws_six_faces():
+def test_step_work_of_an_omni_light_counts_six_faces():
     lamps = (LampFacts(name="lamp", kind="omni", cutoff_deg=180.0, reference_m=20.0),)
     lit = described(lamps=lamps, lights={})
     counts = step_work(lit, "lamp", ("meshes",), "shadow_map", LampMapSettings(map_size=512, depth_bits=32, filter=3))
     assert counts["shadow_map, omni"]["texels"] == 6 * 512**2 and counts["shadow_map, omni"]["triangles"] == 6000
 
 
-def test_times_are_counts_times_rates():
+def test_predicted_ms_multiplies_counts_by_rates():
     step = (SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))
     its = profile({"shadow_map, perspective": {"texels": 2.0, "triangles": 100.0}})
     assert predicted_ms(its, described(), *step) == pytest.approx((576 * 320 * 2.0 + 1000 * 100.0) * 1e-6)
@@ -178,12 +178,12 @@ def test_times_are_counts_times_rates():
     assert predicted_ms(its, described(), SUN, ("meshes",), "none", None) == 0.0
 
 
-def test_a_part_without_rates_is_refused_by_name():
+def test_predicted_ms_names_a_part_without_rates():
     with pytest.raises(UnmeasuredError, match="shadow_volume: .* no rates for silhouettes, perspective"):
         predicted_ms(profile({"planar": {"blocks": 1.0}}), described(), SUN, ("meshes",), "shadow_volume", VolumeSettings())
 
 
-def test_a_changed_calibration_changes_every_prediction():
+def test_predicted_ms_scales_with_the_calibration():
     descriptor, factor = described(), 2.5
     for choice in portfolio(descriptor, SUN, descriptor.casters):
         plan = make_plan(descriptor, StandaloneRequest(Shadows(), (SUN,)), choices={SUN: choice})
@@ -195,7 +195,7 @@ def test_a_changed_calibration_changes_every_prediction():
 
 
 @given(st.integers(1, 10_000), st.integers(1, 10_000))
-def test_more_triangles_never_cost_less(some, more):
+def test_predicted_ms_never_falls_with_more_triangles(some, more):
     settings, _ = sun_map_settings(described(), Shadows(map_size=1024))
     low, high = sorted((some, more))
     for step in ((SUN, ("meshes",), "shadow_map", settings), (SUN, ("meshes",), "shadow_volume", VolumeSettings())):

@@ -1,4 +1,4 @@
-"""Expected errors: texels from settings, sums and chances that can be worked out by hand, then what holds for any."""
+"""Error model: texel sizes from settings, error sums and probabilities derived by hand, and properties of all views."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from skugga.terrain.gbuffer.ground_mesh import MAX_UNDECIMATED_TRIANGLES
 from skugga.terrain.level.level import SUN
 
 PROPORTIONAL = tuple(px / 320.0 for px in TEXEL_LADDER_PX)
-"""Shadows with an edge every few hundred pixels: what differs grows as the texel does."""
+"""The edge spacing is a few hundred pixels: the share of differing pixels grows in proportion to the texel."""
 
 MODEL = ErrorModel(
     counted={
@@ -66,7 +66,7 @@ def band(near_m: float = 32.0, share: float = 1.0, pixel_m: float = 0.1, light_m
 
 
 def described(**changes) -> Descriptor:
-    """A perspective view of 640 x 360 pixels (a side of 480 in the mean), under a sun whose map would cover 400 m by 100 m."""
+    """Return a perspective view of 640 x 360 pixels (geometric mean side 480). The sun's map would cover 400 m by 100 m."""
     casts = {"meshes": Casting(share=0.2, on_bodies=0.05, bands=(band(share=0.75), band(64.0, share=0.25, pixel_m=0.2)))}
     given = {
         "view": "main", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": 0.0015, "rows": 360, "cols": 640,
@@ -78,7 +78,7 @@ def described(**changes) -> Descriptor:
 
 
 def lit_by(kind: str, **lamp) -> Descriptor:
-    """The view under a lamp, which is all that the tests of lamps go by."""
+    """Return the view under a lamp, with all the facts that the lamp tests use."""
     facts = LampFacts(name="lamp", kind=kind, reference_m=50.0, **lamp)
     return described(lamps=(facts,), lights={"lamp": LightFacts(cast_share=0.2)})
 
@@ -101,8 +101,8 @@ def step(name: str, settings=None, light: str = SUN, kinds=("meshes",)) -> Step:
     return Step(light, kinds, name, settings)
 
 
-def test_a_suns_texel_is_that_of_the_cascade_that_a_band_lies_in():
-    """Texels of 0.1 m by 0.4 m are 0.2 m in the geometric mean: two pixels of 0.1 m; the next cascade's ten pixels of 0.2 m."""
+def test_texel_px_of_a_sun_map_uses_the_cascade_of_the_band():
+    """Texels of 0.1 m by 0.4 m are 0.2 m in the geometric mean: two pixels of 0.1 m. The next cascade has ten pixels of 0.2 m."""
     drawn = step("shadow_map", cascades((0.1, 0.4), (2.0, 2.0), (6.4, 6.4)))
     near, next_one, last = band(32.0), band(64.0, pixel_m=0.2), band(256.0, pixel_m=0.8)
     found = [texel_px_of(described(), SUN, drawn, each, 2.0) for each in (near, next_one, last)]
@@ -111,24 +111,24 @@ def test_a_suns_texel_is_that_of_the_cascade_that_a_band_lies_in():
     assert texel_px_of(described(), SUN, whole, last, 2.0) == pytest.approx(0.25)
 
 
-def test_a_spots_texel_is_its_cones_width_over_the_maps_size():
+def test_texel_px_of_a_spot_is_cone_width_over_map_size():
     spot = lit_by("spot", cutoff_deg=30.0)
     drawn = step("shadow_map", lamp_map(512), "lamp")
     across_m = 2.0 * 40.0 * tan(radians(30.0))
     found_px = texel_px_of(spot, "lamp", drawn, band(light_m=40.0), 2.0)
     assert found_px == pytest.approx(across_m / 512 / 0.1)
-    # Without a distance that of the lamp itself; a map of twice the texels has them half as wide.
+    # Without a distance in the band, the lamp's own distance counts; doubling the map size halves the texel.
     assert texel_px_of(spot, "lamp", drawn, band(), 2.0) == pytest.approx(found_px * 50.0 / 40.0)
     assert texel_px_of(spot, "lamp", step("shadow_map", lamp_map(1024), "lamp"), band(light_m=40.0), 2.0) == pytest.approx(
         found_px / 2.0
     )
-    # Each of an omni light's six maps has a right angle.
+    # Each of an omni light's six maps spans a right angle.
     omni = lit_by("omni", cutoff_deg=180.0)
     assert texel_px_of(omni, "lamp", drawn, band(light_m=40.0), 2.0) == pytest.approx(80.0 / 512 / 0.1)
 
 
-def test_a_perspective_maps_texels_follow_the_picture_and_are_never_wider_than_a_uniform_maps():
-    """Of 480 pixels a side twice as many are 960; a uniform map would be 200 m wide, 2000 pixels near and 200 far away."""
+def test_texel_px_of_a_perspective_map_caps_at_a_uniform_map():
+    """Twice the 480 pixels of a side are 960. A uniform map would be 200 m wide: 2000 pixels near, 200 pixels far away."""
     drawn = step("perspective_shadow_map", perspective_map(512))
     near, far = band(pixel_m=0.1), band(256.0, pixel_m=1.0)
     assert texel_px_of(described(), SUN, drawn, near, 2.0) == pytest.approx(960.0 / 512)
@@ -137,7 +137,7 @@ def test_a_perspective_maps_texels_follow_the_picture_and_are_never_wider_than_a
 
 
 @pytest.mark.parametrize("name", ["shadow_volume", "hybrid", "sweep"])
-def test_what_is_exact_has_its_floor_and_no_more(name):
+def test_expected_errors_of_exact_algorithms_are_their_floor(name):
     uniform = cascades((0.5, 0.5))
     settings = {"shadow_volume": VolumeSettings(), "sweep": SweepSettings(), "hybrid": HybridSettings(map=uniform)}[name]
     errors = expected_errors(described(), SUN, [step(name, settings)], MODEL)
@@ -147,8 +147,8 @@ def test_what_is_exact_has_its_floor_and_no_more(name):
     assert (errors.spread, errors.interior_spread) == pytest.approx((MODEL.spread[name], 0.5))
 
 
-def test_planar_shadows_are_wrong_on_bodies():
-    """A quarter of the cast shadow lies on bodies; where that is not known all of it may, where none was hit half a probe's."""
+def test_expected_errors_of_planar_are_the_shadow_on_bodies():
+    """A quarter of the cast shadow lies on bodies. An unknown share counts as all; a share without hits counts as half a probe."""
     floor = MODEL.floor["planar"]
 
     def wrong_cast(on_bodies: float | None) -> float:
@@ -161,9 +161,10 @@ def test_planar_shadows_are_wrong_on_bodies():
     assert wrong_cast(0.0) == pytest.approx(MIN_CAST_SHARE / 0.2 + floor)
 
 
-def test_a_maps_error_is_what_differs_and_counts_by_bands_over_the_cast_shadow():
-    """Texels of 0.4 m are 4 and 2 pixels: 4 / 320 and 2 / 320 differ, of which 2 / (1 + (4 / 4) ** 2) = 1 and 2 / (1 + 4) = 0.4
-    count.
+def test_expected_errors_of_a_map_sum_its_bands():
+    """Texels of 0.4 m are 4 and 2 pixels, so 4 / 320 and 2 / 320 differ.
+
+    Weights are 2 / (1 + (4 / 4) ** 2) = 1 and 2 / (1 + 4) = 0.4.
     """
     drawn = step("shadow_map", cascades((0.4, 0.4)))
     by_hand = 0.75 * (4.0 / 320.0) * 1.0 + 0.25 * (2.0 / 320.0) * 0.4
@@ -176,12 +177,12 @@ def test_a_maps_error_is_what_differs_and_counts_by_bands_over_the_cast_shadow()
     ("texel_px", "differs"),
     [
         (4.0, 4.0 / 320.0),
-        (2.0 * 2.0**0.5, 3.0 / 320.0),  # half an octave above 2 pixels: half of what 2 and 4 have
-        (0.1, 0.1 / 320.0),  # in proportion below the least
-        (100.0, 32.0 / 320.0),  # and no more than is known above the largest
+        (2.0 * 2.0**0.5, 3.0 / 320.0),  # half an octave above 2 pixels: the mean of the values at 2 and 4 pixels
+        (0.1, 0.1 / 320.0),  # proportional below the smallest texel
+        (100.0, 32.0 / 320.0),  # constant above the largest texel
     ],
 )
-def test_between_texels_of_the_ladder_and_beyond_them(texel_px, differs):
+def test_expected_errors_interpolate_the_texel_ladder(texel_px, differs):
     model = MODEL.model_copy(update={"counted": dict.fromkeys(MODEL.counted, HillCurve(most=1.0, half_px=1e-6, steepness=1.0))})
     alone = {"meshes": Casting(share=0.2, bands=(band(),))}
     view = described(lights={SUN: LightFacts(cast_share=0.2, casts=alone)})
@@ -190,7 +191,7 @@ def test_between_texels_of_the_ladder_and_beyond_them(texel_px, differs):
     assert found == pytest.approx(differs, rel=1e-4)
 
 
-def test_kinds_of_casters_count_in_ways_of_their_own():
+def test_expected_errors_weight_each_caster_kind():
     casts = {kind: Casting(share=0.2, bands=(band(),)) for kind in ("relief", "meshes", "forest")}
     descriptor = described(lights={SUN: LightFacts(cast_share=0.2, casts=casts)})
     drawn = cascades((0.4, 0.4))
@@ -205,7 +206,7 @@ def test_kinds_of_casters_count_in_ways_of_their_own():
     assert wrong("relief", "meshes", "forest") == pytest.approx(wrong("relief") + wrong("meshes") + wrong("forest"))
 
 
-def test_steps_add_up_and_scatter_by_what_each_adds():
+def test_expected_errors_of_steps_add_up_with_weighted_spread():
     swept, drawn = step("sweep", SweepSettings(), kinds=("relief",)), step("shadow_map", cascades((0.4, 0.4)))
     one, other, both = (expected_errors(described(), SUN, its, MODEL) for its in ([swept], [drawn], [swept, drawn]))
     assert both.wrong == pytest.approx(one.wrong + other.wrong)
@@ -214,7 +215,7 @@ def test_steps_add_up_and_scatter_by_what_each_adds():
     assert min(one.spread, other.spread) < both.spread < max(one.spread, other.spread)
 
 
-def test_a_kind_that_throws_nothing_on_what_is_seen_adds_nothing_and_an_unknown_light_is_taken_to_cast():
+def test_step_castings_skip_kinds_without_visible_shadow():
     drawn = step("shadow_map", cascades((0.4, 0.4)), kinds=("meshes", "forest"))
     assert [kind for kind, _ in step_castings(described(), SUN, drawn)] == ["meshes"]
     unknown = described(lights={})
@@ -223,7 +224,7 @@ def test_a_kind_that_throws_nothing_on_what_is_seen_adds_nothing_and_an_unknown_
     assert expected_errors(described(), SUN, [], MODEL) == ExpectedErrors(0.0, 0.0, 0.0, MIN_SPREAD, MIN_SPREAD)
 
 
-def test_a_sweep_of_decimated_ground_has_a_floor_of_its_own():
+def test_error_group_of_a_sweep_over_decimated_ground():
     swept = step("sweep", SweepSettings(), kinds=("relief",))
 
     def on_ground(nodes: int | None) -> Descriptor:
@@ -234,19 +235,19 @@ def test_a_sweep_of_decimated_ground_has_a_floor_of_its_own():
     assert expected_errors(fine, SUN, [swept], MODEL).wrong_cast == pytest.approx(MODEL.floor["sweep"])
     assert expected_errors(coarse, SUN, [swept], MODEL).wrong_cast == pytest.approx(MODEL.floor[DECIMATED])
     drawn = step("shadow_map", cascades((0.4, 0.4)), kinds=("relief",))
-    assert error_group_of(coarse, drawn) == "shadow_map"  # which draws the ground that is shown
+    assert error_group_of(coarse, drawn) == "shadow_map"  # a shadow map draws the ground that is shown
     assert packaged_model().floor[DECIMATED] > packaged_model().floor["sweep"]
 
 
-def test_proportional_ladders_stay_as_they_are_and_lone_hits_are_spread():
+def test_smoothed_ladder_spreads_a_single_hit():
     assert smoothed_ladder(PROPORTIONAL) == pytest.approx(PROPORTIONAL)
     one_hit = smoothed_ladder((0.0, 0.0, 0.0, 0.007, 0.0, 0.0, 0.0, 0.0))
-    # Texels of 0.5, 1 and 2 pixels are 3.5 wide together, in which 0.007 was seen: a five-hundredth a pixel.
+    # Texels of 0.5, 1 and 2 pixels sum to 3.5 pixels, which share 0.007: a five-hundredth a pixel.
     assert one_hit == pytest.approx((0.0, 0.001, 0.001, 0.001, 0.0, 0.0, 0.0, 0.0))
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=len(TEXEL_LADDER_PX), max_size=len(TEXEL_LADDER_PX)))
-def test_pooling_keeps_shares_between_those_that_it_joins(differs):
+def test_smoothed_ladder_stays_between_pooled_shares(differs):
     found = smoothed_ladder(tuple(differs))
     assert all(0.0 <= each <= 1.0 for each in found) and found[-1] == pytest.approx(differs[-1])
     a_pixel = [share / px for share, px in zip(differs, TEXEL_LADDER_PX, strict=True)]
@@ -256,7 +257,7 @@ def test_pooling_keeps_shares_between_those_that_it_joins(differs):
 
 
 @given(st.floats(0.01, 100.0), st.floats(1.0, 4.0))
-def test_larger_texels_are_never_expected_to_be_better(texel_m, times):
+def test_expected_errors_never_fall_with_larger_texels(texel_m, times):
     few, many = (
         expected_errors(described(), SUN, [step("shadow_map", cascades((side_m, side_m)))], MODEL).wrong_cast
         for side_m in (texel_m, texel_m * times)
@@ -268,17 +269,17 @@ def errors(wrong_cast: float, interior: float = 0.0, spread: float = 0.5) -> Exp
     return ExpectedErrors(0.2 * wrong_cast, wrong_cast, interior, spread, 0.4)
 
 
-def test_chances_are_even_at_what_is_expected_and_sure_far_away():
+def test_probability_over_is_one_half_at_the_expected_error():
     its = errors(0.02)
     assert its.probability_over(0.02) == pytest.approx(0.5)
     assert its.probability_over(1.0) < 1e-3 and its.probability_over(1e-6) > 0.99
-    # Three times what is expected, with a thousandth added to both: odds of (21 / 61) ** (1 / 0.5).
+    # Three times the expected error, with a thousandth added to both: odds of (21 / 61) ** (1 / 0.5).
     odds = ((0.02 + ERROR_OFFSET) / (0.06 + ERROR_OFFSET)) ** 2
     assert its.probability_over(0.06) == pytest.approx(odds / (1.0 + odds))
-    assert errors(0.9, spread=MIN_SPREAD).probability_over(1e-9) <= 1.0  # and no overflow
+    assert errors(0.9, spread=MIN_SPREAD).probability_over(1e-9) <= 1.0  # and does not overflow
 
 
-def test_what_is_wrong_inside_makes_a_target_missed_however_much_is_allowed():
+def test_probability_over_counts_the_interior_error():
     assert errors(0.001, interior=MAX_INTERIOR).probability_over(1.0) == pytest.approx(0.5)
     over = errors(0.001, interior=10.0 * MAX_INTERIOR).probability_over(1.0)
     ratio = (10.0 * MAX_INTERIOR + INTERIOR_OFFSET) / (MAX_INTERIOR + INTERIOR_OFFSET)
@@ -286,7 +287,7 @@ def test_what_is_wrong_inside_makes_a_target_missed_however_much_is_allowed():
 
 
 @given(st.floats(0.0, 1.0), st.floats(1e-4, 1.0), st.floats(1.0, 10.0), st.floats(MIN_SPREAD, 2.0), st.floats(0.0, 0.01))
-def test_a_chance_falls_with_what_is_allowed_and_grows_with_what_is_expected(expected, allowed, times, spread, interior):
+def test_probability_over_is_monotonic(expected, allowed, times, spread, interior):
     its = errors(expected, interior, spread)
     assert 0.0 <= its.probability_over(allowed * times) <= its.probability_over(allowed) <= 1.0
     assert errors(min(expected * times, 1.0), interior, spread).probability_over(allowed) >= its.probability_over(allowed)
@@ -294,7 +295,7 @@ def test_a_chance_falls_with_what_is_allowed_and_grows_with_what_is_expected(exp
     assert (its.probability_over(allowed) <= 0.5) == likely or abs(its.probability_over(allowed) - 0.5) < 1e-9
 
 
-def test_the_constants_that_come_with_the_package_are_those_of_every_manner():
+def test_packaged_model_has_constants_for_every_error_group():
     model = packaged_model()
     for its in (model.floor, model.interior, model.spread, model.interior_spread):
         assert set(its) == set(error_groups()) and min(its.values()) >= 0.0

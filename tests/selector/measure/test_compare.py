@@ -1,4 +1,4 @@
-"""Comparisons: rows that can be told apart, what they are measured by, and the size of texels that errors are held against."""
+"""Comparisons: rows, their names and measurements, and the texel footprints that errors are compared with."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ def scene(tmp_path_factory) -> Scene:
 
 @pytest.fixture(scope="module")
 def compared(scene) -> Comparison:
-    return compare(scene, scene.view("eye"), "eye", time_limit_s=600.0)  # compiling must cost no row
+    return compare(scene, scene.view("eye"), "eye", time_limit_s=600.0)  # compilation must not use up the time limit
 
 
-def test_rows_have_names_of_their_own(gl, compared):
+def test_compare_gives_rows_unique_names(gl, compared):
     names = [row.figures["name"] for row in compared.rows]
     assert len(set(names)) == len(names)
     assert {"shadow_map-2048-1-16", "perspective_shadow_map-1024-3-24", "shadow_volume", "shadow_volume-two_pass", "planar", "none",
@@ -58,7 +58,7 @@ def test_rows_have_names_of_their_own(gl, compared):
             "shadow_map-1024-1-16-polygon_offset", "relief=sweep,meshes=shadow_volume"} <= set(names)  # fmt: skip
 
 
-def test_counters_are_those_of_the_passes(gl, compared):
+def test_compare_counters_are_those_of_the_passes(gl, compared):
     rows = {row.figures["name"]: row.figures for row in compared.rows}
     assert all(tuple(figures["counters"]) == COUNTERS for figures in rows.values())
     volumes, hybrid = rows["shadow_volume"]["counters"], rows["hybrid-768-conservative"]["counters"]
@@ -68,7 +68,7 @@ def test_counters_are_those_of_the_passes(gl, compared):
     assert rows["shadow_volume"]["wrong_cast"] < 0.01 > rows["hybrid-768-conservative"]["wrong_cast"]
 
 
-def test_a_plan_is_timed_after_its_first_run_or_by_it_alone(gl, scene):
+def test_measure_plan_discards_the_cold_run_if_it_repeats(gl, scene):
     view = scene.view("eye")
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=64)
     for repeats, runs, cold in ((0, 1, True), (1, 1, False), (4, 4, False)):
@@ -81,8 +81,8 @@ def test_a_plan_is_timed_after_its_first_run_or_by_it_alone(gl, scene):
             assert sum(figures["stages"].values()) <= figures["ms_median"] + 0.001
 
 
-def test_what_is_timed_is_what_a_frame_draws(gl, scene):
-    """With the samples where something ends; the errors are those of the picture's own pixels."""
+def test_run_light_draws_what_a_frame_draws(gl, scene):
+    """The timed run includes the edge samples. Errors count the picture's own pixels."""
     view = scene.view("eye")
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
     pictures = picture_blocks(scene, view)
@@ -100,7 +100,7 @@ def test_what_is_timed_is_what_a_frame_draws(gl, scene):
 
 @pytest.fixture(scope="module")
 def hazy(tmp_path_factory) -> Scene:
-    """Bodies near and far in air so thick that haze hides what the sun does to the far ones."""
+    """Return bodies near and far in dense haze, which hides the sun's effect on the far ones."""
     path = tmp_path_factory.mktemp("haze") / "hazy.yaml"
     keys = {
         "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "views": {"eye": EYE},
@@ -110,8 +110,8 @@ def hazy(tmp_path_factory) -> Scene:
     return build_scene(load_level(path))
 
 
-def test_rows_show_what_the_picture_shows_in_haze(gl, hazy):
-    """Where haze hides whether the sun shines, nobody looks for it: in no row, in no picture, and no error is counted there."""
+def test_compare_ignores_points_hidden_by_haze(gl, hazy):
+    """Points that haze hides are not sampled, neither in rows nor in pictures, and no error counts them."""
     view = hazy.view("eye", size=(240, 192))
     asked = [{"algorithm": "shadow_map", "map_size": 256, "filter": 1}, {"algorithm": "shadow_volume"}]
     plans = [plan_of(hazy, view, **each) for each in asked]
@@ -129,7 +129,7 @@ def test_rows_show_what_the_picture_shows_in_haze(gl, hazy):
         assert row.figures["wrong_cast"] == measure_plan(hazy, view, plan).figures["wrong_cast"]
 
 
-def test_without_time_variants_are_left_out_but_no_algorithm(gl, scene):
+def test_compare_without_time_keeps_every_algorithm(gl, scene):
     short = compare(scene, scene.view("eye"), "eye", time_limit_s=0.0)
     drawn = {name for row in short.rows for name in row.figures["algorithm"]["sun"].values()}
     assert drawn == {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "none"}
@@ -139,7 +139,7 @@ def test_without_time_variants_are_left_out_but_no_algorithm(gl, scene):
     assert "shadow_map-1024-1-16" in missing and missing == set(short.left_out)
 
 
-def test_rows_that_are_named_are_measured_whatever_the_time(gl, scene):
+def test_compare_measures_named_rows_beyond_the_time_limit(gl, scene):
     names = ["shadow_map-1024-1-32", "shadow_map-1024-1-16"]
     compared = compare(scene, scene.view("eye"), "eye", time_limit_s=0.0, only=names)
     assert sorted(row.figures["name"] for row in compared.rows) == sorted(names) and not compared.left_out
@@ -147,9 +147,10 @@ def test_rows_that_are_named_are_measured_whatever_the_time(gl, scene):
         compare(scene, scene.view("eye"), "eye", only=["sundial"])
 
 
-def test_soft_edges_are_held_against_the_disc(gl, scene):
-    """Nothing comes nearer to truth of the disc than the map that samples it; and a view's error is that of all its pixels, but
-    for chance.
+def test_soft_error_is_least_for_the_map_that_samples_the_disc(gl, scene):
+    """The map that samples the disc comes nearest to truth of the disc.
+
+    A view's error is that of all its pixels, within sampling noise.
     """
     view = scene.view("eye", size=(320, 256))
     plans = [plan_of(scene, view, algorithm="shadow_map", map_size=2048, filter=filter) for filter in (1, 3, "sun")]
@@ -161,8 +162,8 @@ def test_soft_edges_are_held_against_the_disc(gl, scene):
     assert hard == pytest.approx(soft_error(frame.visibility, real), rel=0.1)
 
 
-def test_rows_say_what_they_drew(gl, compared):
-    """The class of a visibility and the wrong pixels agree with one another and with the figures."""
+def test_compare_rows_are_consistent(gl, compared):
+    """Visibility classes, wrong pixels and figures agree with one another."""
     for row in compared.rows:
         assert row.visibility.dtype == np.uint8 and row.visibility.shape == compared.valid.shape
         assert (row.visibility[~compared.valid] == 255).all()
@@ -173,7 +174,7 @@ def test_rows_say_what_they_drew(gl, compared):
 
 
 @pytest.mark.parametrize(("front", "error"), [("pareto", "wrong_cast"), ("pareto_soft", "soft_error")])
-def test_a_front_is_of_its_error(gl, compared, front, error):
+def test_compare_marks_the_pareto_front(gl, compared, front, error):
     rows = [row.figures for row in compared.rows]
     assert compared.error == "wrong_cast"
     for row in rows:
@@ -194,7 +195,7 @@ def test_a_front_is_of_its_error(gl, compared, front, error):
     ],
 )
 def test_candidates_of_bundled_levels(level, view, light, expected):
-    """Few enough, every one named by all that makes it what it is."""
+    """Candidates are few, and their names list every setting that distinguishes them."""
     scene = build_scene(load_level(find_level(level)))
     plans = candidates(scene, scene.view(view), view, light)
     names = [name_of(plan, light) for plan in plans]
@@ -205,8 +206,8 @@ def test_candidates_of_bundled_levels(level, view, light, expected):
         assert not any("cascades" in name or "=sweep" in name for name in names)
 
 
-def test_the_default_is_compared_with_other_taps():
-    """The same algorithms, as the level takes them by itself."""
+def test_candidates_vary_the_taps_of_the_default():
+    """The first three candidates share the level's default algorithms."""
     scene = build_scene(load_level(find_level("jacksboro_wooded")))
     plans = candidates(scene, scene.view("village", size=(160, 128)), "village")
     assert {tuple(plan.algorithm["sun"].items()) for plan in plans[:3]} == {tuple(plans[0].algorithm["sun"].items())}
@@ -214,7 +215,7 @@ def test_the_default_is_compared_with_other_taps():
 
 
 @given(st.lists(numbers, min_size=16, max_size=16), st.lists(numbers, min_size=3, max_size=3))
-def test_a_texel_on_level_ground_is_what_steps_on_it_say(entries, point):
+def test_texel_on_level_ground_matches_finite_differences(entries, point):
     matrix, point = np.reshape(entries, (4, 4)), np.array(point)
     assume(abs((matrix @ np.append(point, 1.0))[3]) > 0.3)
 
@@ -229,8 +230,8 @@ def test_a_texel_on_level_ground_is_what_steps_on_it_say(entries, point):
     assert texel_on_level_ground_m(matrix, point) == pytest.approx(1.0 / least, rel=1e-3)
 
 
-def test_texels_of_a_perspective_map_follow_the_eye(gl, scene):
-    """In the picture they are more even than one uniform map's, and smaller at their largest; twice as many are half as large."""
+def test_texel_footprint_of_a_perspective_map_follows_the_eye(gl, scene):
+    """Footprints are more even than a uniform map's, and the largest is smaller. Doubling the map size halves them."""
     view = scene.view("eye")
     buffer: GeometryBuffer = geometry_buffer(scene, view)
     floor = buffer.valid & (buffer.height_m == 0.0)
@@ -248,7 +249,7 @@ def test_texels_of_a_perspective_map_follow_the_eye(gl, scene):
     assert largest["perspective_shadow_map"] < largest["shadow_map"]
 
 
-def test_everything_that_is_a_candidate_is_a_row(gl, scene, compared):
+def test_compare_measures_every_candidate(gl, scene, compared):
     plans = candidates(scene, scene.view("eye"), "eye")
     assert [row.figures["name"] for row in compared.rows] == [name_of(plan) for plan in plans]
     assert 30 <= len(plans) <= MAX_CANDIDATES

@@ -1,4 +1,4 @@
-"""Truth at points of a picture is the whole picture's, lattice by lattice; all lattices together count what the metrics do."""
+"""Point truth: each lattice agrees with the whole picture's truth, and all lattices together with the error metrics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PLAIN = {
     "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "meshes": [{"generate": "tetrahedra"}],
     "sun": {"azimuth": 200, "altitude": 35}, "views": {"eye": EYE, "map": {"kind": "map", "size": [240, 240]}},
 }  # fmt: skip
-"""Bodies on a plain."""
+"""Level: bodies on a plain."""
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def picture_truth(scene: Scene, view) -> PictureTruth:
 
 
 @pytest.mark.parametrize("every", [1, 2, 4, 8])
-def test_lattices_have_every_pixel_once(every):
+def test_lattice_offsets_cover_every_pixel_once(every):
     seen = np.zeros((16, 24), int)
     for row, col in lattice_offsets(every):
         seen[row::every, col::every] += 1
@@ -55,8 +55,11 @@ def test_lattices_have_every_pixel_once(every):
 
 
 @pytest.mark.parametrize(("level", "name"), [("scene", "eye"), ("scene", "map"), ("wooded", "main")])
-def test_a_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
-    """Were its pixels as wide as they lie apart, leaves would be others, and some per cent of the points in woods."""
+def test_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
+    """A lattice keeps the picture's pixel width.
+
+    With pixels as wide as its spacing, other leaves would be drawn, and some per cent of the points in woods would differ.
+    """
     scene = request.getfixturevalue(level)
     view = scene.view(name) if level == "scene" else scene.view(name, size=(240, 192))
     truth = picture_truth(scene, view)
@@ -79,8 +82,8 @@ def test_a_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
         ("urban/bilbao/DEM.tif", 7.0),
     ],
 )
-def test_a_map_s_rays_are_walked_to_the_same_truth(gl, request, tmp_path, level, altitude):
-    """Point by point, decidable points of real ground, with its trees and the ground towards the sun."""
+def test_lattice_of_a_map_walks_rays_to_the_same_truth(gl, request, tmp_path, level, altitude):
+    """Walked and Embree rays agree at every decidable point of real ground with its trees and the ground towards the sun."""
     if level.endswith(".tif"):
         path = tmp_path / "level.yaml"
         source = str(request.getfixturevalue("shared_data") / level)
@@ -104,7 +107,7 @@ def test_a_map_s_rays_are_walked_to_the_same_truth(gl, request, tmp_path, level,
 
 
 @pytest.mark.parametrize("name", ["eye", "map"])
-def test_all_lattices_together_count_what_the_metrics_do(gl, scene, name):
+def test_sum_of_all_lattices_equals_the_error_metrics(gl, scene, name):
     view = scene.view(name)
     truth = picture_truth(scene, view)
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=128, filter=1)
@@ -117,11 +120,11 @@ def test_all_lattices_together_count_what_the_metrics_do(gl, scene, name):
         total += truth.counts(truth.lattice(number), dark, (), 1.0)
     assert total.wrong_cast / total.cast == pytest.approx(expected.wrong_cast, rel=0.01) and expected.wrong_cast > 0.005
     assert total.inside / total.decided == pytest.approx(expected.interior, rel=0.02, abs=2e-5)
-    lost = truth.counts(truth.lattice(0), np.zeros_like(dark), (), 1.0)  # without any shadow, most of it is lost inside
+    lost = truth.counts(truth.lattice(0), np.zeros_like(dark), (), 1.0)  # without any shadow, most of the lost shadow is interior
     assert lost.wrong_cast == lost.cast and lost.inside > 10
 
 
-def test_a_view_of_every_nth_pixel_knows_how_wide_its_pixels_are(scene):
+def test_subsampled_view_keeps_the_pixel_width(scene):
     for name in ("eye", "map"):
         view = scene.view(name)
         few = subsampled_view(view, 4)
@@ -135,6 +138,6 @@ def test_a_view_of_every_nth_pixel_knows_how_wide_its_pixels_are(scene):
     ("part", "total", "low", "high"),
     [(0, 100, 0.0, 0.0370), (5, 100, 0.0215, 0.1118), (50, 100, 0.4038, 0.5962), (0, 0, 0.0, 1.0), (10, 10, 0.7225, 1.0)],
 )
-def test_intervals_are_those_of_the_tables(part, total, low, high):
+def test_share_interval_matches_published_tables(part, total, low, high):
     """Wilson's score interval without correction (R. Newcombe, Two-sided confidence intervals for the single proportion, 1998)."""
     assert share_interval(part, total) == pytest.approx((low, high), abs=1e-4)

@@ -1,4 +1,4 @@
-"""Probes of candidates whose real figures are known: who is drawn, what is learnt, who is taken, and when it ends."""
+"""Probing of candidates with known true figures: which are drawn, what is learnt, which is chosen, and when probing ends."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ALGORITHMS = ("shadow_map", "shadow_volume", "hybrid", "sweep")
 
 @dataclass(frozen=True)
 class Real:
-    """A candidate: what is expected of it, and what it really is."""
+    """A candidate: expected and true figures."""
 
     expected_ms: float
     expected_error: float
@@ -39,7 +39,7 @@ class Real:
 
 @dataclass
 class Told:
-    """A prover that knows everything, and counts what it is asked for."""
+    """A prober that knows all true figures and counts its calls."""
 
     candidates: list[Real]
     points: int = 1000
@@ -77,7 +77,7 @@ class Told:
 
 
 def options_of(candidates: list[Real]) -> LightOptions:
-    """Each a family of its own, about whose errors little is known."""
+    """Return options, each a family by itself, whose errors are uncertain."""
     options = [
         PredictedChoice(
             Choice(f"c{number}", {"relief": ALGORITHMS[number % 4]}),
@@ -96,40 +96,43 @@ def probe(candidates: list[Real], max_error: float, max_ms: float | None = None,
     return leader_of(found.options, max_error, max_ms), found, prober
 
 
-def test_a_leader_that_keeps_its_promise_is_confirmed_at_once():
+def test_probe_confirms_a_leader_that_meets_its_forecast():
     taken, found, prober = probe([Real(10.0, 0.005, 10.0, 0.005), Real(100.0, 0.001, 100.0, 0.001)], 0.03, budget_s=3.0)
     assert (taken, prober.drawn, found.confirmed, prober.step) == (0, [0], True, 0)
 
 
-def test_a_leader_that_misses_gives_way():
+def test_probe_replaces_a_leader_that_misses():
     taken, found, prober = probe([Real(10.0, 0.005, 10.0, 0.08), Real(30.0, 0.001, 30.0, 0.001)], 0.03, budget_s=3.0)
     assert (taken, prober.drawn, found.confirmed, found.initial_leader) == (1, [0, 1], True, 0)
 
 
-def test_one_that_is_worse_than_it_seems_makes_others_less_trusted():
-    """Three expect 1 % to 2 %; the first one has ten times as much, and so, by what they share, the others have more, too."""
+def test_probe_raises_expected_errors_of_related_candidates():
+    """Three expect 1 % to 2 %.
+
+    The first has ten times as much; by the shared variance the others are expected to have more, too.
+    """
     candidates = [Real(10.0, 0.01, 10.0, 0.1), Real(12.0, 0.015, 12.0, 0.15), Real(60.0, 0.0005, 60.0, 0.0005)]
     before = options_of(candidates)
     _, found, _ = probe(candidates, 0.03, budget_s=0.0)
     assert [found.options.figures(which).error > 1.5 * before.figures(which).error for which in (0, 1)] == [True, True]
 
 
-def test_points_are_asked_for_until_it_is_plain():
-    """2.8 % of a thousand points lie between 1.9 and 4.0 %: no verdict on 3 %. Of all of them they do."""
+def test_probe_adds_points_until_the_interval_decides():
+    """For 2.8 % of a thousand points the interval is 1.9 to 4.0 %: no verdict on 3 %. All points give a verdict."""
     taken, found, prober = probe([Real(10.0, 0.005, 10.0, 0.028), Real(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=30.0)
     assert taken == 0 and prober.step == 4 and found.confirmed
     _, hasty, prober = probe([Real(10.0, 0.005, 10.0, 0.028), Real(500.0, 0.001, 500.0, 0.001)], 0.03, budget_s=0.15)
     assert prober.step == 1 and not hasty.confirmed
 
 
-def test_one_is_always_drawn_and_the_budget_ends_the_rest():
+def test_probe_draws_one_candidate_then_respects_the_budget():
     candidates = [Real(500.0, 0.005, 500.0, 0.08), Real(900.0, 0.001, 900.0, 0.001)]
     taken, found, prober = probe(candidates, 0.03, budget_s=0.1)
     assert prober.drawn == [0] and not found.confirmed
-    assert taken == 1  # what was shown to miss is not taken where something else is expected to meet the target
+    assert taken == 1  # a candidate that was measured to miss loses to one that is expected to meet the target
 
 
-def test_what_refuses_the_view_after_all_is_left_out():
+def test_probe_drops_a_candidate_that_refuses_the_view():
     candidates = [Real(10.0, 0.005, 10.0, 0.005, refused=True), Real(30.0, 0.001, 30.0, 0.001)]
     taken, found, prober = probe(candidates, 0.03, budget_s=3.0)
     assert (taken, prober.drawn, sorted(found.drawn)) == (1, [0, 1], [1])
@@ -137,18 +140,18 @@ def test_what_refuses_the_view_after_all_is_left_out():
     assert probe_options(options_of(nothing), Told(nothing), 0.03).options.numbers == []
 
 
-def test_what_may_be_much_faster_is_tried():
-    """The second is expected to miss 1 % and does not: with all the time in the world it is found."""
+def test_probe_tries_a_much_faster_candidate():
+    """The second candidate is expected to miss 1 % but meets it. Without a budget, probing finds it."""
     candidates = [Real(100.0, 0.002, 100.0, 0.002), Real(10.0, 0.02, 10.0, 0.008)]
     assert probe(candidates, 0.01)[0] == 1
 
 
-def test_within_a_time_the_most_accurate_is_sought():
+def test_probe_seeks_the_most_accurate_within_the_time():
     candidates = [Real(10.0, 0.02, 10.0, 0.02), Real(20.0, 0.018, 20.0, 0.002), Real(90.0, 0.0, 90.0, 0.0)]
     assert probe(candidates, 1e-4, 50.0)[0] == 1
 
 
-def test_the_gain_of_what_is_known_is_what_is_saved():
+def test_expected_gain_of_known_candidates_is_the_time_saved():
     candidates = [Real(100.0, 0.001, 100.0, 0.001), Real(60.0, 0.001, 60.0, 0.001)]
     options = options_of(candidates)
     for which, real in enumerate(candidates):
@@ -167,23 +170,21 @@ reals = st.lists(
 
 @settings(deadline=None)
 @given(reals, st.sampled_from([0.1, 0.03, 0.01, 0.003]), st.none() | st.floats(5, 300), st.sampled_from([0.0, 0.3, 3.0, None]))
-def test_a_plan_that_was_shown_to_miss_is_not_taken_where_another_is_expected_to_meet_the_target(
-    candidates, max_error, max_ms, budget_s
-):
+def test_probe_prefers_a_likely_candidate_to_a_measured_miss(candidates, max_error, max_ms, budget_s):
     taken, found, prober = probe(candidates, max_error, max_ms, budget_s)
     assert len(set(prober.drawn)) == len(prober.drawn) >= 1
     forecasts = found.options.forecasts(max_error)
     if forecasts[taken].miss_chance(max_ms) > 0.5:
         assert all(one.miss_chance(max_ms) > 0.5 for one in forecasts)
     if budget_s is not None and len(prober.drawn) > 1:
-        assert prober.seconds <= budget_s + max(real.ms for real in candidates) / 1000.0  # a time that was foreseen too short
+        assert prober.seconds <= budget_s + max(real.ms for real in candidates) / 1000.0  # a draw may take longer than forecast
 
 
 @settings(deadline=None)
 @given(reals, st.sampled_from([0.1, 0.03, 0.01]))
-def test_without_a_limit_the_plan_that_is_taken_was_proven(candidates, max_error):
+def test_probe_without_a_budget_chooses_a_measured_candidate(candidates, max_error):
     taken, found, _ = probe(candidates, max_error)
     assert taken in found.drawn
     real = candidates[taken]
-    if real.error > max_error or real.interior > 0.001:  # then nothing that was drawn keeps to it
+    if real.error > max_error or real.interior > 0.001:  # then no drawn candidate meets the target
         assert all(candidates[which].error > max_error or candidates[which].interior > 0.001 for which in found.drawn)

@@ -1,4 +1,4 @@
-"""The rules policy: a thesis's advice as data, on descriptors written by hand; each rule alone, their order, and their scenes."""
+"""Rules policy: each rule of the thesis's advice, their order, and the thesis's scenes, on hand-written descriptors."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ from skugga.terrain.level.level import Shadows, load_level
 from skugga.terrain.scene import build_scene
 
 TEXEL_M = 0.5
-"""Of the usual map over what a hand-written view shows."""
+"""Texel of the usual map over the hand-written view, metres."""
 
 PIXEL = 0.001
-"""A pixel's tangent there: at 500 m a texel covers one pixel."""
+"""Tangent of a pixel in that view: at 500 m a texel covers one pixel."""
 
 LAMP = {"name": "lamp", "kind": "spot", "cutoff_deg": 30.0, "reference_m": 40.0}
 
@@ -52,7 +52,7 @@ def band(near_m: float, far_m: float, share: float = 0.5) -> dict[str, Any]:
 
 
 def sun_over(*casters: str, **keys: Any) -> Descriptor:
-    """A perspective view of a flat world under the sun, by hand: from 16 m to 1 km, of which nothing more is known."""
+    """Return a hand-written perspective view of a flat world under the sun, from 16 m to 1 km, without further facts."""
     given = {
         "view": "by hand", "view_kind": "perspective", "flat_world": True, "pixel_m": 0.1, "pixel": PIXEL, "node_m": 1.0,
         "casters": casters, "relief_m": 50.0 if "relief" in casters else 0.0, "block_relief_m": 50.0,
@@ -75,12 +75,12 @@ def stand(kind: str = "meshes", triangles: int = 50_000, **facts: Any) -> Caster
 
 
 def near_by(texel_px: float, **facts: Any) -> dict[str, LightFacts]:
-    """A light whose nearest edge is where a texel covers so many pixels."""
+    """Return a light whose nearest edge is where a texel covers that many pixels."""
     return light(nearest_edge_m=TEXEL_M / PIXEL / texel_px, **facts)
 
 
 def choices_from_plan(descriptor: Descriptor, **asked: Any) -> dict[str, Choice]:
-    """What the rules take for all lights."""
+    """Return the choices of the rules for all lights."""
     return choices_by_rules(descriptor, Shadows(**asked), descriptor.light_kinds)
 
 
@@ -89,34 +89,34 @@ def taken(descriptor: Descriptor, kind: str = "meshes", of: str = "sun", **asked
 
 
 def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> str | None:
-    """The name of the first rule that applies and can be served."""
+    """Return the name of the first rule that applies and can be served."""
     case = RuleInput(descriptor, of, kind, Shadows())
     names = (rule.name for rule in RULES if can_serve(rule.algorithm, descriptor, of, kind) and rule.reason_for(case))
     return next(names, None)
 
 
-def test_a_descriptor_of_which_little_is_known_breaks_nothing():
-    """A rule whose facts are not known does not apply: what is left is a map."""
+def test_rules_fall_back_to_a_map_without_facts():
+    """A rule does not apply while its facts are unknown. The fallback is a shadow map."""
     for descriptor in (sun_over("meshes"), sun_over("meshes", bands=[], pixel=None, receivers_light_m=None)):
         choice = choices_from_plan(descriptor)["sun"]
         assert choice.algorithm == {"meshes": "shadow_map"} and choice.why == {"meshes": NO_RULE}
-    round_earth = sun_over("relief", flat_world=False)  # how much ground there is to sweep is not known
+    round_earth = sun_over("relief", flat_world=False)  # the extent of the ground to sweep is unknown
     assert rule_of(round_earth, "relief") is None
     assert choices_from_plan(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None))
 
 
 @pytest.mark.parametrize("descriptor", [sun_over("relief", "meshes"), map_over("relief", "meshes")])
-def test_a_heightfield_is_swept_and_what_stands_on_it_is_not(descriptor):
+def test_rules_sweep_relief_but_not_meshes(descriptor):
     assert rule_of(descriptor, "relief") == "a heightfield is swept" and taken(descriptor, "relief") == "sweep"
     assert taken(descriptor, "meshes") == "shadow_map"
 
 
-def test_lamps_are_not_swept():
+def test_rules_do_not_sweep_under_lamps():
     assert taken(sun_over("relief", lamps=[LAMP]), "relief", "lamp") == "shadow_map"
 
 
-def test_ground_is_swept_as_far_as_rays_are_straight():
-    """A block of 1024 pixels and the way of its longest shadow, 50 m / tan 30 degrees and a trifle less on a round earth."""
+def test_rules_sweep_ground_only_while_rays_are_straight():
+    """The block has 1024 pixels and reaches as far as its longest shadow: 50 m / tan 30 degrees, slightly less on a round earth."""
     fits = (MAX_STRAIGHT_M - 50.0 / np.tan(np.radians(30.0))) / 1024
     for pixel_m, algorithm in ((0.999 * fits, "sweep"), (1.001 * fits, "shadow_map")):
         wide = map_over(
@@ -124,16 +124,16 @@ def test_ground_is_swept_as_far_as_rays_are_straight():
         )
         assert taken(wide, "relief") == algorithm
     small = map_over("relief", flat_world=False, pixel_m=1e4, lights=light(area_share=1.0))
-    assert taken(small, "relief") == "sweep"  # all of the level, in large pixels
-    assert taken(map_over("relief", pixel_m=1e4), "relief") == "sweep"  # a flat world bends nothing
-    # In perspective all of the level: square, and of 512 m x 300 m / sin 30 degrees that are seen.
+    assert taken(small, "relief") == "sweep"  # the whole level, in large pixels
+    assert taken(map_over("relief", pixel_m=1e4), "relief") == "sweep"  # rays are straight in a flat world
+    # In perspective the whole level counts: square, with 512 m x 300 m / sin 30 degrees visible.
     light_facts = TEXEL_M * REFERENCE_MAP_TEXELS * 300.0 / 0.5 / MAX_STRAIGHT_M**2
     for share, algorithm in ((1.001 * light_facts, "sweep"), (0.999 * light_facts, "perspective_shadow_map")):
         assert taken(sun_over("relief", flat_world=False, lights=light(area_share=share)), "relief") == algorithm
 
 
-def test_perfect_shadows_take_volumes_but_for_leaves():
-    """Ground is swept all the same, which has no texels either."""
+def test_rules_take_volumes_for_strict_errors_except_foliage():
+    """Ground is swept all the same: a sweep has no texels either."""
     descriptor = sun_over("relief", "meshes", "forest")
     strict = choices_from_plan(descriptor, max_error=0.9 * TYPICAL_MAP_ERROR)["sun"]
     assert strict.algorithm == {"relief": "sweep", "meshes": "shadow_volume", "forest": "shadow_map"}
@@ -148,18 +148,18 @@ def test_perfect_shadows_take_volumes_but_for_leaves():
         ({"bias": "polygon_offset"}, "shadow_map", "shadow_map"), ({"stencil": "two_pass"}, "sweep", "shadow_volume"),
     ],
 )  # fmt: skip
-def test_who_asks_for_a_map_s_settings_gets_a_map(asked, relief, meshes):
+def test_rules_take_a_map_if_its_settings_are_requested(asked, relief, meshes):
     descriptor = sun_over("relief", "meshes", stands=[stand(triangles=12, closed_share=1.0)])
     assert taken(descriptor, "relief", **asked) == relief and taken(descriptor, "meshes", **asked) == meshes
 
 
-def test_leaves_go_by_a_map_and_all_else_with_them():
+def test_rules_take_a_map_for_foliage_and_its_neighbours():
     few = {"stands": [stand(triangles=12, closed_share=1.0)]}
     assert rule_of(sun_over("meshes", **few)) == "few polygons"
     assert rule_of(sun_over("meshes", "forest", **few)) == rule_of(sun_over("meshes", "forest"), "forest") == "foliage needs a map"
 
 
-def test_few_polygons_of_closed_meshes_take_volumes():
+def test_rules_take_volumes_for_few_closed_polygons():
     for triangles, closed, algorithm in (
         (MAX_FEW_TRIANGLES, CLOSED_SHARE, "shadow_volume"), (MAX_FEW_TRIANGLES + 1, 1.0, "shadow_map"),
         (MAX_FEW_TRIANGLES, 0.9 * CLOSED_SHARE, "shadow_map"), (0, 1.0, "shadow_map"),
@@ -168,20 +168,20 @@ def test_few_polygons_of_closed_meshes_take_volumes():
         assert taken(descriptor) == algorithm
     few = [stand(triangles=400, closed_share=1.0)]
     assert taken(map_over("meshes", stands=few)) == "shadow_volume"
-    assert taken(map_over("meshes", stands=few, bend_px=5.0)) == "shadow_map"  # which no camera could see
+    assert taken(map_over("meshes", stands=few, bend_px=5.0)) == "shadow_map"  # a bent map, which no affine camera fits
 
 
-def test_a_narrow_lamp_takes_a_map():
-    """A texel's width where the lamp is aimed, by arithmetic: 2 x 40 m x tan(cutoff) / 1024, of pixels of 0.05 m."""
+def test_rules_take_a_map_for_a_narrow_lamp():
+    """A texel at the lamp's target is 2 x 40 m x tan(cutoff) / 1024 wide, and a pixel is 0.05 m."""
     light_facts = {"lights": {"lamp": LightFacts(nearest_edge_m=0.1, volume_layers=100.0)}}
     sharp_deg = float(np.degrees(np.arctan(SHARP_TEXEL_PX * 0.05 * REFERENCE_MAP_TEXELS / 80.0)))
     for cutoff_deg, name in ((0.99 * sharp_deg, "narrow light"), (1.01 * sharp_deg, "complex shadows from near")):
         descriptor = sun_over("meshes", lamps=[LAMP | {"cutoff_deg": cutoff_deg}], pixel_m=0.05, **light_facts)
         assert rule_of(descriptor, of="lamp") == name
-    assert rule_of(sun_over("meshes", pixel_m=0.05)) is None  # the sun is no lamp
+    assert rule_of(sun_over("meshes", pixel_m=0.05)) is None  # the rule does not apply to the sun
 
 
-def test_a_small_shadowed_area_takes_a_map():
+def test_rules_take_a_map_for_a_small_shadowed_area():
     for share, name in (
         (MAX_SMALL_SHADOW_SHARE, "small shadowed area"),
         (1.01 * MAX_SMALL_SHADOW_SHARE, "complex shadows from near"),
@@ -190,7 +190,7 @@ def test_a_small_shadowed_area_takes_a_map():
         assert rule_of(sun_over("meshes", lights=lights)) == name
 
 
-def test_a_light_behind_the_camera_takes_a_map():
+def test_rules_take_a_map_for_a_light_behind_the_camera():
     for to_view_deg, name in (
         (MIN_BEHIND_ANGLE_DEG, "light near the camera"),
         (MIN_BEHIND_ANGLE_DEG - 1.0, "complex shadows from near"),
@@ -199,7 +199,7 @@ def test_a_light_behind_the_camera_takes_a_map():
         assert rule_of(sun_over("meshes", lights=lights)) == name
 
 
-def test_near_and_complex_shadows_take_the_hybrid_and_far_ones_a_map():
+def test_rules_take_the_hybrid_for_near_complex_shadows():
     for texel_px, layers, name in (
         (1.01 * COARSE_TEXEL_PX, MIN_COMPLEX_LAYERS, "complex shadows from near"),
         (1.01 * COARSE_TEXEL_PX, 0.9 * MIN_COMPLEX_LAYERS, None),
@@ -208,7 +208,7 @@ def test_near_and_complex_shadows_take_the_hybrid_and_far_ones_a_map():
         assert rule_of(sun_over("meshes", lights=near_by(texel_px, volume_layers=layers))) == name
 
 
-def test_little_seen_of_much_takes_a_perspective_map():
+def test_rules_take_a_perspective_map_for_a_small_visible_part():
     for share, far_m, name in (
         (MAX_VISIBLE_LIT_SHARE, 1024.0, "small part of the lit area seen"), (1.01 * MAX_VISIBLE_LIT_SHARE, 1024.0, None),
         (MAX_VISIBLE_LIT_SHARE, 16.0 * MIN_GAIN, "small part of the lit area seen"), (MAX_VISIBLE_LIT_SHARE, 15.0 * MIN_GAIN, None),
@@ -229,7 +229,7 @@ FACTS = st.builds(
     facts=FACTS, of_lamp=FACTS, is_map=st.booleans(), flat=st.booleans(), forest=st.booleans(), bend_px=st.floats(0, 2),
     triangles=st.integers(0, 10**7), closed=st.floats(0, 1), max_error=st.floats(1e-6, 1), omni=st.booleans(),
 )  # fmt: skip
-def test_what_is_advised_is_always_served_and_always_has_a_reason(
+def test_rules_choose_served_algorithms_with_reasons(
     facts, of_lamp, is_map, flat, forest, bend_px, triangles, closed, max_error, omni
 ):
     casters = ("relief", "meshes", *(("forest",) if forest else ()))
@@ -250,12 +250,12 @@ def test_what_is_advised_is_always_served_and_always_has_a_reason(
     assert all(item.reason for item in (*plan.reasons, *plan.rejected)) and plan.policy == "rules"
 
 
-def test_every_rule_has_a_name_and_a_source_of_its_own_and_serves_what_it_takes():
+def test_rules_have_unique_names_sources_and_known_algorithms():
     assert len({rule.name for rule in RULES}) == len(RULES) and all(rule.source for rule in RULES)
     assert {rule.algorithm for rule in RULES} == {"shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "sweep"}
 
 
-def test_the_page_of_the_algorithms_lists_the_rules_in_their_order():
+def test_docs_list_the_rules_in_their_order():
     text = Path("docs/algorithms.md").read_text(encoding="utf-8")
     table = text[text.index("## Left to the rules") : text.index("## `shadow_map`")]
     assert re.findall(r"^\| ([^|]+) \| `(\w+)` \|", table, re.MULTILINE) == [(rule.name, rule.algorithm) for rule in RULES]
@@ -266,11 +266,11 @@ SCENES = {
     ("thesis_boxgrid_sun", "main"): "hybrid", ("thesis_boxgrid_sun", "overview"): "shadow_map",
     ("thesis_boxgrid_sun", "map"): "shadow_map", ("thesis_rocks_sun", "main"): "perspective_shadow_map",
 }  # fmt: skip
-"""What the advice takes for the meshes of a thesis's scenes: Street by volumes, the box grid by the hybrid, as it says (8.2)."""
+"""Algorithm of the rules for the meshes of the thesis's scenes: volumes for Street, the hybrid for the box grid (section 8.2)."""
 
 
 @pytest.mark.parametrize(("level", "view"), SCENES)
-def test_the_thesis_s_own_scenes_are_advised_as_it_says(gl, level, view):
+def test_rules_follow_the_thesis_on_its_scenes(gl, level, view):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     of = "sun" if level.endswith("_sun") else "lamp"
     plan = make_plan(describe(scene, scene.view(view), view), scene.loaded.level)
@@ -278,8 +278,8 @@ def test_the_thesis_s_own_scenes_are_advised_as_it_says(gl, level, view):
 
 
 @pytest.mark.parametrize(("view", "planned"), [(sun_over, ["sun", "lamp"]), (map_over, ["sun", "lamp", "far0", "far1"])])
-def test_the_rules_are_asked_about_planned_lights_alone(view, planned, monkeypatch):
-    """Of a perspective view those that reach it; a map's plan may stand for others of its scale."""
+def test_rules_see_only_planned_lights(view, planned, monkeypatch):
+    """A perspective view plans the lights that reach it. A map's plan may stand for other blocks of its scale, so it plans all."""
     asked_about, first = [], advice._first
     monkeypatch.setattr(advice, "_first", lambda case: asked_about.append(case.light) or first(case))
     dark = [LAMP | {"name": f"far{number}", "reaches": False} for number in range(2)]

@@ -1,4 +1,4 @@
-"""Plans: reasons for everything, overrides, and the passes that really run."""
+"""Plans: reasons, overrides, and the passes that run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def reasons_of(plan: Plan) -> dict[str, str]:
     return {item.name: item.reason for item in (*plan.reasons, *plan.rejected)}
 
 
-def test_a_plan_gives_reasons_for_what_it_does_and_leaves_out(scene):
+def test_plan_gives_reasons_for_chosen_and_omitted_effects(scene):
     plan = plan_of(scene, scene.view())
     assert plan.algorithm == {"sun": {"relief": "sweep"}} and plan.headline == "sweep" and plan.predicted is None
     assert [effect.name for effect in plan.effects] == ["refraction", "cast_shadows", "outside_casters", "sky_view"]
@@ -45,14 +45,14 @@ def test_a_plan_gives_reasons_for_what_it_does_and_leaves_out(scene):
     assert all(item.reason for item in (*plan.effects, *plan.left_out, *plan.rejected, *plan.reasons))
 
 
-def test_the_settings_of_a_map_have_reasons_too(scene):
+def test_plan_gives_reasons_for_map_settings(scene):
     plan = plan_of(scene, scene.view(), algorithm="shadow_map")
     assert {reason.name.split()[0] for reason in plan.reasons} == {"sun/relief:", "map_size", "depth_bits", "filter", "bias", "fit"}
     assert "soft_edges" in plan.runs
 
 
-def test_what_is_not_taken_is_refused_or_comes_after_what_is(scene):
-    """Rejections under the rules: a refusal, or what a rule took instead; under another policy what that says."""
+def test_plan_gives_reasons_for_rejected_algorithms(scene):
+    """Under the rules the reason is a refusal or the algorithm that was preferred. Another policy supplies its own reasons."""
     said = reasons_of(plan_of(scene, scene.view()))
     assert said["perspective_shadow_map"] == ALGORITHMS["perspective_shadow_map"].refuses["map"]
     assert said["shadow_volume"] == f"sweep was preferred: {said['sun/relief: sweep']}"
@@ -65,16 +65,16 @@ def test_what_is_not_taken_is_refused_or_comes_after_what_is(scene):
     assert said["shadow_volume"] == "hybrid was preferred: it is mine"
 
 
-def test_of_several_kinds_of_casters_each_says_what_went_before(wooded):
+def test_plan_gives_rejection_reasons_per_caster_kind(wooded):
     said = reasons_of(plan_of(wooded, wooded.view()))
     volume = ALGORITHMS["shadow_volume"].refuses["forest"]
     assert said["shadow_volume"] == (f"for relief: sweep was preferred; for meshes: shadow_map was preferred; for forest: {volume}")
     plan = plan_of(wooded, wooded.view(), algorithm={"relief": "sweep", "meshes": "hybrid"})
     assert reasons_of(plan)["sun/meshes: hybrid"] == "set by the request"
-    assert reasons_of(plan)["shadow_volume"] == volume  # of what is left to choose
+    assert reasons_of(plan)["shadow_volume"] == volume  # only among the kinds left to choose
 
 
-def test_night_needs_nothing_and_says_so(scene):
+def test_plan_at_night_has_no_shadows_and_says_so(scene):
     night = scene.with_sun(SunSpec(time="2024-10-21T23:00:00-04:00"))
     plan = plan_of(night, night.view())
     assert plan.algorithm == {"sun": {"relief": "none"}} and plan.settings == {}
@@ -83,7 +83,7 @@ def test_night_needs_nothing_and_says_so(scene):
     assert [item.name for item in plan.rejected] == [name for name in ALGORITHMS if name != "none"]
 
 
-def test_overrides_win_and_are_named(scene):
+def test_plan_overrides_win_and_are_named(scene):
     view, terrain = scene.view(), scene.loaded.level.terrain.model_dump()
 
     def of_level(**keys) -> Plan:
@@ -100,8 +100,8 @@ def test_overrides_win_and_are_named(scene):
     assert "needs cast_shadows, which is left out" in left_out["soft_edges"]
 
 
-def test_settings_that_are_asked_for_are_named(scene):
-    """By whom, and where nothing that is taken has them."""
+def test_plan_names_the_source_of_requested_settings(scene):
+    """The reason names the request or the level, and says where no chosen algorithm has the setting."""
     view = scene.view()
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=777, depth_bits=32, filter=5, cascades=1)
     settings = plan.settings["sun"]["relief"]
@@ -111,19 +111,19 @@ def test_settings_that_are_asked_for_are_named(scene):
     level = scene.loaded.level.model_copy(update={"shadows": Shadows(algorithm="hybrid", map_size=512, mask="original")})
     said = reasons_of(make_plan(describe(scene, view), level, {"map_size": 256, "mask": None}))
     assert said["map_size 256"] == "set by the request" and said["mask original"] == "set by the level"
-    assert "map_size 777" in reasons_of(plan_of(scene, view, map_size=777))["sun/relief: shadow_map"]  # a map's setting
+    assert "map_size 777" in reasons_of(plan_of(scene, view, map_size=777))["sun/relief: shadow_map"]  # only a map has this setting
     said = reasons_of(plan_of(scene, view, algorithm="sweep", map_size=777, stencil="two_pass"))
     for name in ("map_size 777", "stencil two_pass"):
         assert said[name] == "set by the request, without effect: no chosen algorithm has this setting"
 
 
 @pytest.mark.parametrize("name", ["shadow_volume", "hybrid", "sweep"])
-def test_an_override_that_the_scene_forbids_is_refused_with_the_reason(wooded, name):
+def test_plan_refuses_an_unsupported_override_with_a_reason(wooded, name):
     with pytest.raises(UnsupportedError, match=f"{ALGORITHMS[name].refuses['forest']}.*algorithms that can: shadow_map"):
         plan_of(wooded, wooded.view(), algorithm={"forest": name})
 
 
-def test_depth_takes_more_bits_where_sixteen_shift_a_shadow(write_raster, make_scene):
+def test_plan_uses_24_depth_bits_where_16_shift_a_shadow(write_raster, make_scene):
     import numpy as np
 
     from tests.rasters import ENGINEERING
@@ -139,17 +139,17 @@ def test_depth_takes_more_bits_where_sixteen_shift_a_shadow(write_raster, make_s
     assert any("more than the 0.25 allowed" in reason.reason for reason in plan.reasons)
 
 
-def test_nothing_is_decided_per_tile(scene):
-    """The plan is a function of (level, zoom, sun): the same for every block of a zoom."""
+def test_plan_is_the_same_for_all_tiles_of_a_zoom(scene):
+    """The plan is a function of (level, zoom, sun)."""
     plans = {plan_of(scene, block_at(lon, lat, 13)).model_dump_json() for lon in (-84.4, -84.1) for lat in (36.17, 36.41)}
     assert len(plans) == 1
 
 
 @pytest.mark.parametrize("algorithm", [None, "shadow_map"])
 @pytest.mark.parametrize("sun", [(246, 12), (246, -30)])
-def test_the_passes_that_ran_are_the_plan_s(gl, scene, sun, algorithm):
+def test_frame_runs_the_passes_of_its_plan(gl, scene, sun, algorithm):
     lit = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
-    for view in (lit.view(size=(64, 64)), block_at(10.0, 50.0, 12)):  # the second is far off the data
+    for view in (lit.view(size=(64, 64)), block_at(10.0, 50.0, 12)):  # the second view is far from the data
         frame = render(lit, view, algorithm=algorithm)
         assert [record.name for record in frame.passes] == frame.plan.passes
         assert all(record.ms >= 0 for record in frame.passes)
@@ -158,8 +158,8 @@ def test_the_passes_that_ran_are_the_plan_s(gl, scene, sun, algorithm):
         assert drew > 0 or algorithm is None or sun[1] < 0 or not frame.valid.any()
 
 
-def test_a_renderer_that_skips_a_listed_pass_is_caught(gl, scene, monkeypatch):
-    """The mutant: visibility without the depth map's pass."""
+def test_render_rejects_a_skipped_pass(gl, scene, monkeypatch):
+    """The mutant fills visibility without the depth map's pass."""
     import numpy as np
 
     def lazy(buffer, scene, light, kinds, casters, settings, log):
@@ -171,7 +171,7 @@ def test_a_renderer_that_skips_a_listed_pass_is_caught(gl, scene, monkeypatch):
         render(scene, scene.view(size=(64, 64)), algorithm="shadow_map")
 
 
-def test_plans_and_descriptors_survive_json(scene):
+def test_plan_and_descriptor_round_trip_through_json(scene):
     view = scene.view()
     plan, descriptor = plan_of(scene, view), describe(scene, view)
     assert type(plan).model_validate_json(plan.model_dump_json()) == plan

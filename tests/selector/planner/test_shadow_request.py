@@ -1,4 +1,4 @@
-"""Who asks for what: a request, then the first pin of the level that holds, then the level itself, then the policy."""
+"""Precedence of shadow settings: request, first matching pin of the level, level, policy."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def planned(scene, view, altitude=12.0, **overrides):
     return plan, {reasoned.name: reasoned.reason for reasoned in plan.reasons}
 
 
-def test_a_pin_goes_before_the_level_and_says_so(scene):
+def test_pin_overrides_the_level_and_says_so(scene):
     plan, why = planned(scene, "eye")
     assert plan.algorithm["sun"]["meshes"] == "shadow_volume"
     assert why["sun/meshes: shadow_volume"] == "pinned by the level for view eye, sun 5 to 20 degrees high"
@@ -47,28 +47,28 @@ def test_a_pin_goes_before_the_level_and_says_so(scene):
     assert rejected["hybrid"] == "the level's pin for view eye, sun 5 to 20 degrees high sets none, shadow_volume"
 
 
-def test_under_another_sun_the_next_pin_holds(scene):
+def test_pin_of_another_sun_altitude_is_skipped(scene):
     plan, why = planned(scene, "eye", 25.0)
     settings = plan.settings["sun"]["meshes"]
     assert plan.algorithm["sun"]["meshes"] == "shadow_map" and settings.map_size == 256
     assert (why["sun/meshes: shadow_map"], why["map_size 256"]) == ("set by the level", "pinned by the level for view eye")
 
 
-def test_of_another_view_auto_leaves_it_to_the_policy(scene):
+def test_pin_auto_leaves_the_setting_to_the_policy(scene):
     plan, why = planned(scene, "map")
     assert plan.algorithm["sun"]["meshes"] == "hybrid" and not any(name.startswith("map_size 300") for name in why)
     free = make_plan(describe(scene, scene.view("map"), "map"), scene.loaded.level, {"map_size": "auto"})
     assert plan.settings == free.settings
 
 
-def test_a_request_goes_before_a_pin_key_by_key(scene):
+def test_request_overrides_a_pin_key_by_key(scene):
     plan, why = planned(scene, "eye", algorithm={"meshes": "planar"})
     assert plan.algorithm["sun"]["meshes"] == "planar" and why["sun/meshes: planar"] == "set by the request"
     plan, why = planned(scene, "eye", map_size=700)
     assert plan.algorithm["sun"]["meshes"] == "shadow_volume" and why["map_size 700"].startswith("set by the request")
 
 
-def test_what_a_pin_asks_for_in_vain_names_its_key(scene):
+def test_pin_with_an_unsupported_algorithm_names_its_key(scene):
     level = scene.loaded.level
     pin = level.shadows.pins[2].model_copy(update={"algorithm": {"meshes": "perspective_shadow_map"}})
     shadows = level.shadows.model_copy(update={"pins": (*level.shadows.pins[:2], pin)})

@@ -1,4 +1,4 @@
-"""The conservative map: what it says for certain is so, whatever is thinner than its texels, and it says enough."""
+"""Conservative map: certain points are right, however thin the casters are, and few points are masked."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from skugga.shadows.hybrid.conservative_raster import MAX_DEPTH_RUNS
 
 SIZE = 12
 GRID = 2**16
-"""Steps per texel of the coordinates below: integers, so that what lies where is exact."""
+"""Steps per texel of the integer coordinates below, which make positions exact."""
 
 STEP = 64
-"""Corners lie on multiples of this, so that so do sixty-fourths of the ways between them on integers."""
+"""Corners are multiples of this, so that sixty-fourths of the distances between them are integers, too."""
 
 
 def boundary(triangles: np.ndarray) -> np.ndarray:
-    """Edges (e, 2, 3) whose signed sum over triangles (t, 3, 3) that all go round the same way is not 0."""
+    """Return edges (e, 2, 3) whose signed sum over consistently oriented triangles (t, 3, 3) is not 0."""
     points, numbers = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     a = numbers.reshape(-1, 3)
     b = np.roll(a, -1, axis=1)
@@ -38,14 +38,14 @@ def boundary(triangles: np.ndarray) -> np.ndarray:
 
 
 def turned(triangles: np.ndarray) -> np.ndarray:
-    """Triangles (t, 3, 3), all of them counter-clockwise in (u, v)."""
+    """Return the triangles (t, 3, 3), all counter-clockwise in (u, v)."""
     a, b, c = np.moveaxis(triangles[..., :2], 1, 0)
     area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     return np.where((area < 0)[:, None, None], triangles[:, ::-1], triangles)
 
 
 def mean_volume_layers(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How many triangles (t, 3, 3) int64, their borders included, lie truly before points (n, 3) int64: exact."""
+    """Return how many triangles (t, 3, 3) int64, borders included, lie before points (n, 3) int64, in exact arithmetic."""
     count = np.zeros(len(points), np.int64)
     for corners in triangles:
         shares = []
@@ -59,7 +59,7 @@ def mean_volume_layers(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def soup(rng: np.random.Generator) -> np.ndarray:
-    """Triangles (t, 3, 3) int64: large, tiny, slivers, wires, edge-on, walls, and welded sheets in front of one another."""
+    """Return triangles (t, 3, 3) int64: large, tiny, slivers, wires, edge-on, walls, and stacks of welded sheets."""
 
     def at(n: int, beyond: float = 3.0) -> np.ndarray:  # (n, 3) points
         return np.concatenate([rng.uniform(-beyond, SIZE + beyond, (n, 2)), rng.uniform(0, 1, (n, 1))], axis=1)
@@ -69,12 +69,12 @@ def soup(rng: np.random.Generator) -> np.ndarray:
         if rng.random() < 0.6:
             n = rng.integers(1, 8)
             parts.append(at(n)[:, None] + rng.normal(0, 1, (n, 3, 3)) * [spread, spread, 0.1])
-    for _ in range(rng.integers(0, 4)):  # wires, and strips too thin to be triangles
+    for _ in range(rng.integers(0, 4)):  # wires, and strips of nearly no width
         a, b = at(2)
         across = np.append(np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a)[:2]), 0.0)
         across = across * rng.choice([2.0**-15, 0.004, 0.05, 0.3, 1.0, 2.0])
         parts.append(np.array([[a, b, b + across], [a, b + across, a + across]]))
-    if rng.random() < 0.4:  # a wall that stands on edge, whole numbers of texels from the border or not
+    if rng.random() < 0.4:  # a wall that stands on edge, at whole or fractional texels
         a, b = np.round(at(2) * [1, 1, 8]) / [1, 1, 8] if rng.random() < 0.5 else at(2)
         down = np.array([0.0, 0.0, 0.4])
         parts.append(np.array([[a, b, b + down], [a, b + down, a + down]]))
@@ -90,18 +90,18 @@ def soup(rng: np.random.Generator) -> np.ndarray:
 
 
 def known_of(triangles: np.ndarray, size: tuple[int, int] = (SIZE, SIZE)) -> ConservativeMap:
-    """The map of triangles in grid steps."""
+    """Return the map of triangles in grid steps."""
     return conservative_map(size, triangles / GRID, boundary(triangles) / GRID)
 
 
 def on(triangles: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Points (n, 3) int64 on triangles, exactly."""
+    """Return points (n, 3) int64 exactly on triangles."""
     shares = rng.multinomial(STEP, [1 / 3, 1 / 3, 1 / 3], n)
     return np.einsum("nk,nkc->nc", shares, triangles[rng.integers(0, len(triangles), n)]) // STEP
 
 
 def anywhere(triangles: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Points (n, 3) int64 all over the map, on texels' borders, and before and behind triangles."""
+    """Return points (n, 3) int64 all over the map, on texel borders, and before and behind triangles."""
     points = np.round(rng.uniform(0, 1, (n, 3)) * [SIZE, SIZE, 1.1] * GRID).astype(np.int64)
     points[: n // 2, :2] = on(triangles, n // 2, rng)[:, :2]
     axis = rng.integers(0, 2, n)
@@ -112,12 +112,12 @@ def anywhere(triangles: np.ndarray, n: int, rng: np.random.Generator) -> np.ndar
 
 @settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
-def test_what_is_certain_is_so(seed: int) -> None:
+def test_classify_points_is_right_where_certain(seed: int) -> None:
     rng = np.random.default_rng(seed)
     triangles = soup(rng)
     points = anywhere(triangles, 3000, rng)
     before = mean_volume_layers(triangles, points)
-    moved = rng.uniform(-1e-6, 1e-6, (2, len(points)))  # as rounding does
+    moved = rng.uniform(-1e-6, 1e-6, (2, len(points)))  # within the error of rounding
     found = classify_points(
         known_of(triangles), points[:, 0] / GRID + moved[0], points[:, 1] / GRID + moved[1], points[:, 2] / GRID, 1e-9
     )
@@ -127,7 +127,7 @@ def test_what_is_certain_is_so(seed: int) -> None:
 
 @settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
-def test_what_is_certain_of_points_on_casters_is_so(seed: int) -> None:
+def test_classify_points_on_casters_is_right_where_certain(seed: int) -> None:
     rng = np.random.default_rng(seed)
     triangles = soup(rng)
     points = on(triangles, 3000, rng)
@@ -141,7 +141,7 @@ SLOPES = [0.0, 0.05, 0.11, 0.25, 0.43, 0.6, 0.8, 1.0]
 
 
 def wire(width: float, slope: float, at: float = 32.2) -> np.ndarray:
-    """A wire (2, 3, 3) across a map of 64 texels, at depth 0.2."""
+    """Return a wire (2, 3, 3) across a map of 64 texels, at depth 0.2."""
     along = np.array([1.0, slope]) / np.hypot(1.0, slope)
     across = width * np.array([-along[1], along[0]])
     ends = at + np.array([[-80.0], [80.0]]) * along
@@ -150,7 +150,7 @@ def wire(width: float, slope: float, at: float = 32.2) -> np.ndarray:
 
 
 def shadow_of(triangles: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
-    """u, v (2, n') of points in the map that triangles of equal size cover."""
+    """Return u, v (2, n') of points in the map covered by triangles of equal size."""
     shares = rng.dirichlet([1.0, 1.0, 1.0], n)
     u, v, _ = np.einsum("nk,nkc->cn", shares, triangles[rng.integers(0, len(triangles), n)])
     return np.stack([u, v])[:, (np.abs(u - 32) < 31) & (np.abs(v - 32) < 31)]
@@ -158,7 +158,7 @@ def shadow_of(triangles: np.ndarray, n: int, rng: np.random.Generator) -> np.nda
 
 @pytest.mark.parametrize("slope", SLOPES)
 @pytest.mark.parametrize("width", [0.05, 0.1, 0.25, 0.5, 0.75, 1.0, 2.0])
-def test_no_wire_is_missed(width: float, slope: float) -> None:
+def test_conservative_map_misses_no_wire(width: float, slope: float) -> None:
     triangles, rng = wire(width, slope), np.random.default_rng(1)
     known = conservative_map((64, 64), triangles, boundary(triangles))
     dark = shadow_of(triangles, 10000, rng)
@@ -166,11 +166,11 @@ def test_no_wire_is_missed(width: float, slope: float) -> None:
     assert not (classify_points(known, *dark, np.full(dark.shape[1], 0.9), 1e-9) == LIT).any()
     anywhere = rng.uniform(0, 64, (2, 20000))
     masked = (classify_points(known, *anywhere, np.full(20000, 0.9), 1e-9) == MASKED).mean()
-    assert masked <= (width * np.hypot(1.0, slope) + 2.0 + slope) / 64  # the texels that it touches
+    assert masked <= (width * np.hypot(1.0, slope) + 2.0 + slope) / 64  # the texels that the wire touches
 
 
-def test_depths_at_texel_centres_miss_what_is_thin() -> None:
-    """Chan and Durand's own criterion, that two by two texels round a point disagree: what the conservative map is for."""
+def test_depths_at_texel_centres_miss_thin_casters() -> None:
+    """Chan and Durand's criterion compares two by two texels around a point. Its misses are why the conservative map exists."""
     rng, missed = np.random.default_rng(1), []
     for slope in SLOPES:
         for at in rng.uniform(31, 33, 10):
@@ -183,7 +183,7 @@ def test_depths_at_texel_centres_miss_what_is_thin() -> None:
 
 
 def prism(turn_deg: float) -> np.ndarray:
-    """A roof (2, 3, 3) of 60 by 40 texels, 10 deep, in the middle of a map of 128."""
+    """Return a roof (2, 3, 3) of 60 by 40 texels, 10 deep, in the middle of a map of 128."""
     turn = np.radians(turn_deg)
     corners = np.array([[-30.0, -20.0], [30.0, -20.0], [30.0, 20.0], [-30.0, 20.0]])
     corners = corners @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + 64.0
@@ -193,7 +193,7 @@ def prism(turn_deg: float) -> np.ndarray:
 
 @pytest.mark.parametrize("floor_casts", [False, True])
 @pytest.mark.parametrize("turn_deg", [0.0, 17.0, 45.0])
-def test_only_outlines_are_masked(turn_deg: float, floor_casts: bool) -> None:
+def test_conservative_map_masks_only_outlines(turn_deg: float, floor_casts: bool) -> None:
     roof, rng = prism(turn_deg), np.random.default_rng(1)
     a, b, c, d = np.array([[-1.0, -1.0, 20.0], [129.0, -1.0, 60.0], [129.0, 129.0, 90.0], [-1.0, 129.0, 50.0]])
     casting = np.concatenate([roof, [[a, b, c], [a, c, d]]]) if floor_casts else roof
@@ -209,36 +209,37 @@ def test_only_outlines_are_masked(turn_deg: float, floor_casts: bool) -> None:
     assert (~known_points).mean() * 128**2 < 2.1 * 200.0  # the outline is 200 texels long
 
 
-def test_layers_follow_one_another() -> None:
-    """Plates one behind the other, more than a texel keeps runs of: lit before the first, on it, and dark behind."""
+def test_conservative_map_resolves_stacked_plates() -> None:
+    """There are more plates than a texel has depth runs. Points before and on the first plate are lit, points behind it dark."""
     a, b, c, d = np.array([[-1.0, -1.0], [9.0, -1.0], [9.0, 9.0], [-1.0, 9.0]])
     plates = [[[*p, float(k)] for p in corners] for k in range(2 * MAX_DEPTH_RUNS + 1) for corners in ((a, b, c), (a, c, d))]
     known = conservative_map((8, 8), np.array(plates[::-1]), np.zeros((0, 2, 3)))
     assert (np.abs(known.nearest) < 1e-9).all()
     assert (np.abs(known.nearest_other - 1.0) < 1e-9).all()
     assert (np.abs(known.shaded_beyond) < 1e-9).all()
-    edge = np.array([[[4.5, 4.5, -1.0], [4.6, 4.6, -1.0]]])  # a wire before them takes nothing from what they shade
+    edge = np.array([[[4.5, 4.5, -1.0], [4.6, 4.6, -1.0]]])  # a wire before the plates does not change what they shade
     known = conservative_map((8, 8), np.array(plates), edge)
     assert known.nearest[4, 4] == known.nearest_other[4, 4] == pytest.approx(-1.0)
     assert abs(known.shaded_beyond[4, 4]) < 1e-9
-    edge[..., 2] = 0.0  # one in the first hides what its run does, and the next shades
+    edge[..., 2] = 0.0  # an edge in the first plate opens its run, and the next plate shades
     assert conservative_map((8, 8), np.array(plates), edge).shaded_beyond[4, 4] == pytest.approx(1.0)
 
 
-def test_a_hole_in_a_far_layer_is_known() -> None:
-    """Layers that a texel has no room for are one run, and a hole in any of them makes it open."""
+def test_conservative_map_keeps_a_hole_in_a_far_layer() -> None:
+    """Layers beyond a texel's depth runs merge into one run, and a hole in any of them opens it."""
     a, b, c, d = np.array([[-1.0, -1.0], [9.0, -1.0], [9.0, 9.0], [-1.0, 9.0]])
     edges = np.array([[[-1.0, 4.5, float(k)], [9.0, 4.5, float(k)]] for k in range(MAX_DEPTH_RUNS + 2)])
     plates = np.array([[[*p, float(k)] for p in corners] for k in range(MAX_DEPTH_RUNS + 2) for corners in ((a, b, c), (a, c, d))])
-    for gone in range(MAX_DEPTH_RUNS + 2):  # all but one have an edge there
+    for gone in range(MAX_DEPTH_RUNS + 2):  # all layers but one have an edge at this texel
         known = conservative_map((8, 8), plates, np.delete(edges, gone, axis=0))
         assert known.shaded_beyond[4, 4] == (pytest.approx(gone) if gone < MAX_DEPTH_RUNS - 1 else np.inf)
         assert (np.abs(known.shaded_beyond[:4]) < 1e-9).all()
 
 
-def test_runs_joined_in_any_order_are_known() -> None:
-    """A steep sheet welded of two parts, the second drawn when its texel has room for it again: a point farther than that one
-    may lie before the first.
+def test_conservative_map_merges_runs_in_any_order() -> None:
+    """A steep sheet is welded of two parts, and the second is drawn when its texel has a free run again.
+
+    A point beyond the second part may lie before the first.
     """
     tiny = np.array([[4.2, 4.2, 0.0], [4.3, 4.2, 0.0], [4.2, 4.3, 0.0]])
     bridge = tiny + [[0, 0, -0.5], [0, 0, 1.5], [0, 0, 1.5]]
@@ -251,8 +252,8 @@ def test_runs_joined_in_any_order_are_known() -> None:
     assert classify_points(known, np.array([4.1]), np.array([4.6]), np.array([10.2]), 1e-9) == MASKED
 
 
-def test_layers_where_triangles_meet_are_not_missed() -> None:
-    """Two layers at one depth, the edge between two triangles of one of them past the very place where layers are counted."""
+def test_conservative_map_counts_layers_at_shared_edges() -> None:
+    """Two layers have the same depth. The edge between two triangles of one layer passes through the sample point."""
     plate = np.array([[[-40.0, -40.0, 1.0], [90.0, -40.0, 1.0], [-40.0, 90.0, 1.0]]])
     for turn in np.linspace(0.0, 6.0, 40):
         along, across = 20.0 * np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0]])
@@ -264,8 +265,8 @@ def test_layers_where_triangles_meet_are_not_missed() -> None:
         assert abs(known.shaded_beyond[4, 4] - 1.0) < 1e-9
 
 
-def test_two_sides_edge_on_shade_nothing() -> None:
-    """A fin without thickness, its two sides casting and its edges cancelled, past the very place where layers are counted."""
+def test_conservative_map_ignores_a_fin_seen_edge_on() -> None:
+    """The fin has no thickness: both sides cast, and their edges cancel. It passes through the sample point."""
     for along in ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]):
         a = np.array([4.437, 4.613, 1.0]) - 8.0 * np.array(along)
         b = a + 16.0 * np.array(along)
@@ -277,8 +278,8 @@ def test_two_sides_edge_on_shade_nothing() -> None:
             assert known.nearest[4, 4] == pytest.approx(1.0)
 
 
-def test_rounding_past_the_border_of_a_texel_is_harmless() -> None:
-    """What begins or ends within rounding of a border, and a point truly on this side that rounding puts on the other."""
+def test_conservative_map_is_robust_to_rounding_at_borders() -> None:
+    """Triangles begin or end within rounding of a border, and rounding moves a point across it."""
     for end in (5.0 - 1e-9, 5.0, 5.0 + 1e-9):
         left = np.array([[[-20.0, -20.0, 1.0], [end, -20.0, 1.0], [end, 40.0, 1.0]]])
         right = np.array([[[end, -20.0, 1.0], [30.0, -20.0, 1.0], [end, 40.0, 1.0]]])
@@ -291,13 +292,13 @@ def test_rounding_past_the_border_of_a_texel_is_harmless() -> None:
                     assert found == MASKED or not on_border
 
 
-def test_points_outside_are_masked() -> None:
+def test_classify_points_masks_points_outside() -> None:
     known = conservative_map((4, 3), np.zeros((0, 3, 3)), np.zeros((0, 2, 3)))
     u, v = np.array([0.0, 3.99, -1e-9, 4.0, 1.0, 1e300, np.nan]), np.array([0.0, 2.99, 1.0, 1.0, 3.0, 1.0, 1.0])
     assert classify_points(known, u, v, np.zeros(7), 0.0).tolist() == [LIT, LIT] + 5 * [MASKED]
 
 
-def test_triangles_outside_leave_no_trace() -> None:
+def test_conservative_map_ignores_triangles_outside() -> None:
     triangle = np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0], [0.0, 3.0, 1.0]])
     for way in ([-9, 0], [9, 0], [0, -9], [0, 9], [-6, 4], [5, 5], [-1e6, 1e6]):
         moved = triangle + [*way, 0.0]
@@ -305,7 +306,7 @@ def test_triangles_outside_leave_no_trace() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_clipping_keeps_planes_areas_and_edges(seed: int) -> None:
+def test_clipping_keeps_areas_and_edges(seed: int) -> None:
     rng = np.random.default_rng(seed)
     triangles, z_near = rng.uniform(-1, 1, (20, 3, 3)), 0.25
     ahead = clipped_triangles(triangles, z_near)
@@ -324,8 +325,8 @@ def test_clipping_keeps_planes_areas_and_edges(seed: int) -> None:
         assert {tuple(end) for end in ends} <= {tuple(corner) for corner in ahead.reshape(-1, 3)}
 
 
-def test_depth_of_a_lamp_is_linear_over_its_map() -> None:
-    """A clipped triangle seen in perspective: what (u, v, -1/z) says between its corners is where its points are."""
+def test_clipped_lamp_depth_is_linear_over_the_map() -> None:
+    """(u, v, -1/z) interpolates linearly between the corners of a clipped triangle in perspective."""
     rng = np.random.default_rng(3)
     corners = clipped_triangles(np.array([[[-1.0, -2.0, -1.0], [3.0, 1.0, 4.0], [-2.0, 2.0, 6.0]]]), 0.1)
     assert len(corners) == 2

@@ -1,4 +1,4 @@
-"""The hybrid: its conservative mask leaves the picture of shadow volumes and marks few pixels; the original one loses wires."""
+"""Hybrid: the conservative mask reproduces shadow volumes and marks few pixels; the original mask loses wires."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tests.shadows.volumes.test_shadow_volume import (
 )  # fmt: skip
 
 MAX_MARKED = 0.3
-"""Share of the pixels of a small picture that a map leaves to volumes, at most: most are crowded with edges."""
+"""Upper bound of the marked share of a small picture, which is crowded with edges."""
 
 
 def stencil_record(log: PassLog) -> PassRecord:
@@ -42,8 +42,9 @@ def stencil_record(log: PassLog) -> PassRecord:
 
 
 def same(at: Look, real: Truth | None = None, **settings: Any) -> float:
-    """The conservative hybrid's picture is that of the volumes in every decidable pixel, and in all but a few others; gives the
-    share of marked pixels.
+    """Check the conservative hybrid against the volumes and return the share of marked pixels.
+
+    All decidable pixels are equal, and all others but a few.
     """
     log, volumes = PassLog(), at.seen()
     found = at.seen("conservative", log, **settings)
@@ -60,7 +61,7 @@ def same(at: Look, real: Truth | None = None, **settings: Any) -> float:
 
 
 @pytest.mark.parametrize(("name", "view"), quick(BUNDLED, *IN_SECONDS))
-def test_the_bundled_scenes_are_those_of_the_volumes(gl, name, view):
+def test_hybrid_equals_volumes_in_bundled_scenes(gl, name, view):
     at, real = thesis(name, view)
     marked = same(at, real)
     assert 0.005 < marked < MAX_MARKED, f"{marked:.1%} of the pixels are marked"
@@ -68,43 +69,43 @@ def test_the_bundled_scenes_are_those_of_the_volumes(gl, name, view):
 
 @pytest.mark.parametrize("light", LIGHTS)
 @pytest.mark.parametrize("name", [*OPEN, *BODIES])
-def test_whatever_casts(gl, tmp_path, name, light):
+def test_hybrid_equals_volumes_for_any_caster(gl, tmp_path, name, light):
     scene = level_of(tmp_path, [(OPEN | BODIES)[name]], 200, 35, **BEHIND, **LIGHTS[light])
     marked = same(look(scene))
     assert 0.0 < marked < 0.1, f"{marked:.1%} of the pixels are marked"
 
 
-# Under the sun and a spot, against truth: tests/hard_cases.
+# tests/hard_cases compares the sun and a spot with truth.
 @pytest.mark.parametrize("where", EYES)
-def test_wherever_the_eye_is_under_an_omni_light(gl, tmp_path, where):
-    """In a body all that is seen are backs of a closed body's faces: none of them casts."""
+def test_hybrid_equals_volumes_for_any_eye_under_an_omni_light(gl, tmp_path, where):
+    """Inside a body only back faces of a closed body are visible, and none of them casts."""
     same(under_an_omni_light(tmp_path, where))
 
 
 @pytest.mark.parametrize("where", LAMPS)
-def test_wherever_the_lamp_is(gl, tmp_path, where):
+def test_hybrid_equals_volumes_for_any_lamp_position(gl, tmp_path, where):
     body, place, view = LAMPS[where]
     lamp = {"kind": "omni", "position": place}
     same(look(level_of(tmp_path, [body], 0, 0, **view, sun="none", lights={"lamp": lamp})))
 
 
 @pytest.mark.parametrize("map_size", [64, 200, 2048])
-def test_whatever_the_map_s_size(gl, tmp_path, map_size):
-    """The smaller the map the more is marked; the picture stays."""
+def test_hybrid_equals_volumes_for_any_map_size(gl, tmp_path, map_size):
+    """A smaller map marks more pixels. The picture does not change."""
     at = look(level_of(tmp_path, [BODIES["one through another"]], 200, 35, **BEHIND))
     marked = same(at, map_size=map_size)
     assert marked < {64: 0.2, 200: 0.08, 2048: 0.03}[map_size], f"{marked:.1%} of the pixels are marked"
 
 
 @pytest.mark.parametrize("settings", [{"counting": "z_fail"}, {"stencil": "two_pass"}])
-def test_ways_of_counting_change_nothing(gl, settings):
+def test_hybrid_is_independent_of_counting_settings(gl, settings):
     at, _ = thesis("thesis_room")
     np.testing.assert_array_equal(at.seen("conservative", **settings), at.seen("conservative"))
 
 
 @pytest.mark.parametrize("altitude", [30.0, 3.0])
-def test_ground(gl, tmp_path, altitude):
-    """Ridges of a flat world in perspective, and a tile of a curved earth."""
+def test_hybrid_equals_volumes_over_ground(gl, tmp_path, altitude):
+    """The grounds are ridges of a flat world in perspective, and a tile of a curved earth."""
     path = tmp_path / "ridges.yaml"
     keys = {"version": 1, "terrain": RIDGES, "sun": {"azimuth": 113, "altitude": altitude}}
     path.write_text(json.dumps(keys | eye((-600, -650, 150), (0, 0, 50))), encoding="utf-8")
@@ -117,8 +118,8 @@ def test_ground(gl, tmp_path, altitude):
 
 
 @pytest.mark.parametrize("light", LIGHTS)
-def test_the_original_mask_is_near_truth_where_nothing_is_thin(gl, tmp_path, light):
-    """Wrong only where a texel lies across a silhouette that its neighbours' comparisons do not show."""
+def test_original_mask_is_near_truth_without_thin_casters(gl, tmp_path, light):
+    """Errors occur only where a texel crosses a silhouette that comparisons with its neighbours do not show."""
     at = look(level_of(tmp_path, [box((8, 6, 5))], 200, 35, **BEHIND, **LIGHTS[light]))
     real = at.truth()
     wrong = real.decidable & ((at.seen("original") < 0.5) == real.lit)
@@ -128,8 +129,8 @@ def test_the_original_mask_is_near_truth_where_nothing_is_thin(gl, tmp_path, lig
 # -- records
 
 
-def test_what_is_marked_is_put_on_record(gl, tmp_path):
-    """Pixels and tiles of the picture; the map is kept as the volumes are."""
+def test_hybrid_records_marked_pixels_and_tiles(gl, tmp_path):
+    """The record counts pixels and tiles of the picture. The map is cached as the volumes are."""
     at = look(level_of(tmp_path, [BODIES["one through another"]], 200, 35, **BEHIND))
     log = PassLog(requested_layers=frozenset({"silhouettes", "stencil"}))
     at.seen("conservative", log)

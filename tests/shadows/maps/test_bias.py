@@ -1,4 +1,4 @@
-"""Ways of keeping a surface from shading itself in a shadow map, and faces that are left out of one."""
+"""Bias against self-shadowing in shadow maps, and face culling."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TAPS = [1, 2, 3, 5]
 
 
 def plane(write_raster, slope_deg: float, towards_deg: float):
-    """A plane of 960 m that rises by a slope away from the azimuth it faces."""
+    """Write a plane of 960 m that faces an azimuth with a slope."""
     axis = (np.arange(96) - 47.5) * 10.0
     east, north = np.meshgrid(axis, -axis)
     facing = np.radians(towards_deg)
@@ -33,7 +33,7 @@ def plane(write_raster, slope_deg: float, towards_deg: float):
 
 
 def shaded(make_scene, raster, azimuth: float, altitude: float, **how) -> float:
-    """Share of a plane's pixels that are not wholly lit; the sun faces the plane."""
+    """Return the share of a plane's pixels that are not wholly lit. The sun faces the plane."""
     scene = make_scene(raster, azimuth, altitude)
     view = scene.view(bounds=(-300, -300, 300, 300), size=(120, 120))
     assert not attached(geometry_buffer(scene, view), scene).any()
@@ -41,7 +41,7 @@ def shaded(make_scene, raster, azimuth: float, altitude: float, **how) -> float:
 
 
 def wrong_inside(seen: np.ndarray, real: Truth, buffer: GeometryBuffer) -> np.ndarray:
-    """Pixels of the wrong class beyond two pixels of a shadow's edge and of where ground and meshes touch."""
+    """Return pixels of the wrong class, two pixels or more from shadow edges and from contacts of ground and meshes."""
     touching = binary_dilation(buffer.kind == MESHES) & (buffer.kind != MESHES)
     return real.valid & ~binary_dilation(~real.decidable | touching, iterations=2) & ((seen >= 0.5) != real.lit)
 
@@ -50,8 +50,8 @@ def wrong_inside(seen: np.ndarray, real: Truth, buffer: GeometryBuffer) -> np.nd
 
 
 @pytest.mark.parametrize("taps", TAPS)
-def test_the_normal_offset_is_no_more_than_needed(gl, write_raster, make_scene, taps):
-    """At 0.8 times it a plane that the sun grazes along a diagonal of the texels shades itself."""
+def test_normal_offset_is_no_larger_than_needed(gl, write_raster, make_scene, taps):
+    """With 0.8 of the offset, a plane that the sun grazes along a texel diagonal shades itself."""
     raster = plane(write_raster, 60, 37)
     how = {"bias": "normal_offset", "filter": taps}
     assert shaded(make_scene, raster, 127, 20, **how) == 0.0
@@ -59,8 +59,8 @@ def test_the_normal_offset_is_no_more_than_needed(gl, write_raster, make_scene, 
 
 
 @pytest.mark.parametrize(("taps", "enough"), [(1, 1.0), (2, 2.0), (3, 3.0), (5, 5.0)])
-def test_a_polygon_offset_is_enough_for_one_tap_alone(gl, write_raster, make_scene, taps, enough):
-    """The slope's factor that n taps a side need is n; the customary one is 1.1."""
+def test_polygon_offset_suffices_only_for_one_tap(gl, write_raster, make_scene, taps, enough):
+    """Taps of n a side need a slope factor of n. The customary factor is 1.1."""
     raster = plane(write_raster, 60, 37)
     how = {"bias": "polygon_offset", "filter": taps}
     share = shaded(make_scene, raster, 127, 20, **how)
@@ -70,7 +70,7 @@ def test_a_polygon_offset_is_enough_for_one_tap_alone(gl, write_raster, make_sce
 
 @pytest.mark.parametrize("light", ["sun", "lamp"])
 @pytest.mark.parametrize("bias", ["receiver_plane", "normal_offset", "polygon_offset"])
-def test_shadows_are_right_away_from_their_edges(gl, tmp_path, bias, light):
+def test_bias_keeps_shadows_right_away_from_edges(gl, tmp_path, bias, light):
     scene = level_of(tmp_path, [box((9, 6, 5)), box((3, 3, 3), 0, (-6, -5))], 110, 28, views={"eye": EYE}, lights={"lamp": SPOT})
     view = scene.view("eye")
     seen, buffer = visibility(scene, view, light, bias=bias, filter=1, map_size=4096)
@@ -79,7 +79,7 @@ def test_shadows_are_right_away_from_their_edges(gl, tmp_path, bias, light):
     assert not wrong_inside(seen, real, buffer).any()
 
 
-def test_biases_differ(gl, tmp_path):
+def test_bias_methods_differ_in_the_picture(gl, tmp_path):
     scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE})
     seen = [visibility(scene, scene.view("eye"), bias=name)[0] for name in ("receiver_plane", "normal_offset", "polygon_offset")]
     for one, other in ((0, 1), (1, 2), (0, 2)):
@@ -90,8 +90,8 @@ def test_biases_differ(gl, tmp_path):
 
 
 @pytest.mark.parametrize("light", ["sun", "lamp"])
-def test_closed_bodies_need_no_bias_without_their_lit_faces(gl, tmp_path, light):
-    """No acne on the lit sides at no bias at all, where there is plenty with them drawn; the ground's shadows are the same."""
+def test_front_culling_of_closed_bodies_needs_no_bias(gl, tmp_path, light):
+    """Lit sides have no acne without bias; with front faces drawn they have much. Shadows on the ground do not change."""
     scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE}, lights={"lamp": SPOT})
     view = scene.view("eye")
     seen = {}
@@ -109,8 +109,8 @@ def test_closed_bodies_need_no_bias_without_their_lit_faces(gl, tmp_path, light)
     np.testing.assert_array_equal(seen["none", 1.0][ground & ~contact], seen["front", 1.0][ground & ~contact])
 
 
-def test_what_is_not_closed_is_drawn_whole(gl, tmp_path):
-    """A box without a face, a box inside out, a sheet, and the ground."""
+def test_front_culling_leaves_open_meshes_whole(gl, tmp_path):
+    """The meshes are a box without a face, a box inside out and a sheet, on the ground."""
     lidless, inside_out = box((6, 6, 5)), box((4, 4, 4), 0, (-9, 5))
     lidless = trimesh.Trimesh(lidless.vertices, lidless.faces[2:], process=False)
     inside_out.invert()
@@ -121,8 +121,8 @@ def test_what_is_not_closed_is_drawn_whole(gl, tmp_path):
     np.testing.assert_array_equal(*seen)
 
 
-def test_only_what_is_closed_is_culled(gl, tmp_path):
-    """A closed box beside an open sheet: the sheet's shadow stays."""
+def test_front_culling_keeps_the_shadow_of_an_open_sheet(gl, tmp_path):
+    """The sheet stands beside a closed box."""
     sheet = trimesh.Trimesh([[6, -8, 3], [10, -8, 3], [10, -4, 3], [6, -4, 3]], [[0, 1, 2], [0, 2, 3]], process=False)
     both = level_of(tmp_path, [box((4, 4, 4), 0, (-9, 5)), sheet], 110, 28, views={"eye": EYE})
     seen, buffer = visibility(both, both.view("eye"), culling="front", filter=1, map_size=4096)
@@ -133,7 +133,7 @@ def test_only_what_is_closed_is_culled(gl, tmp_path):
 # -- plans
 
 
-def test_plans_say_what_was_chosen(gl, tmp_path):
+def test_plan_gives_reasons_for_bias_and_culling(gl, tmp_path):
     scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28, views={"eye": EYE})
     view = scene.view("eye")
     plan = plan_of(scene, view, algorithm="shadow_map")
@@ -148,7 +148,7 @@ def test_plans_say_what_was_chosen(gl, tmp_path):
 
 
 @pytest.mark.parametrize(("key", "value"), [("bias", "slope"), ("culling", "back"), ("filter", "moon")])
-def test_what_is_not_known_is_refused(tmp_path, key, value):
+def test_plan_refuses_unknown_values(tmp_path, key, value):
     scene = level_of(tmp_path, [box((9, 6, 5))], 110, 28)
     with pytest.raises(InputError, match=f"{key}: '{value}' is not allowed") as raised:
         plan_of(scene, scene.view(), **{key: value})

@@ -1,4 +1,4 @@
-"""Cascades: finer near the eye and as fine far away, in the memory of one map; where they part goes by what is seen."""
+"""Cascades: finer near the eye and as fine far away, in the memory of one map. Split distances follow the visible points."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ AWAY_M = (70, 110, 170, 260, 400, 600)
 
 @pytest.fixture(scope="module")
 def mountains(tmp_path_factory) -> Scene:
-    """24 x 24 km of ridges seen from a summit over a few houses."""
+    """Return 24 x 24 km of ridges, seen from a summit over a few houses."""
     folder = tmp_path_factory.mktemp("mountains")
     trimesh.creation.box(extents=(12.0, 9.0, 8.0)).export(folder / "house.obj")
     ahead = -EYE_M / np.linalg.norm(EYE_M)
@@ -59,7 +59,7 @@ def plan_for(scene: Scene, **asked) -> Plan:
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), [(300, 15), (100, 10)])
-def test_four_cascades_halve_the_displacement_of_edges_in_the_memory_of_one_map(gl, mountains, azimuth, altitude):
+def test_four_cascades_halve_the_edge_displacement(gl, mountains, azimuth, altitude):
     scene = mountains.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
     distance_m = [band.far_m for band in describe(scene, scene.view("main"), "main").bands]
     assert distance_m[0] <= 128 and distance_m[-1] >= 16_384
@@ -77,11 +77,11 @@ def test_four_cascades_halve_the_displacement_of_edges_in_the_memory_of_one_map(
     assert found[4].wrong_cast <= 0.5 * found[1].wrong_cast
 
 
-# -- where cascades part, from descriptors alone
+# -- split distances, from descriptors alone
 
 
 def band(octave: int, share: float) -> Band:
-    """What is seen of level ground in an octave of distances, the sun 45 degrees high."""
+    """Return the visible part of level ground in an octave of distances, under a sun 45 degrees high."""
     far = 2.0**octave
     return Band(near_m=far / 2, far_m=far, share=share, low_light_m=(-far / 2, 0.0, 0.0), high_light_m=(far / 2, far / 2, far / 2))
 
@@ -103,8 +103,8 @@ def ends_of(shares: list[float], **asked) -> list[float | None]:
     return [cascade.far_m for cascade in plan.settings["sun"]["relief"].cascades]
 
 
-def test_cascades_part_where_more_is_seen():
-    """With a size that is given: most pixels far away draw the splits there, most of them near draw them back."""
+def test_cascade_splits_follow_the_visible_pixels():
+    """The map size is fixed. Many far pixels move the splits away; many near pixels move them closer."""
     near = [0.4, 0.3, 0.2, 0.04, 0.02, 0.02, 0.01, 0.01]
     asked = {"map_size": 512, "cascades": 3}
     close, remote = ends_of(near, **asked), ends_of(near[::-1], **asked)
@@ -114,7 +114,7 @@ def test_cascades_part_where_more_is_seen():
 
 @settings(max_examples=40)
 @given(st.lists(st.floats(0.001, 1.0), min_size=1, max_size=11), st.sampled_from(["auto", 1, 2, 3, 4]))
-def test_an_automatic_size_keeps_what_it_promises_wherever_the_cascades_part(shares, cascades):
+def test_automatic_map_size_bounds_texels_for_any_splits(shares, cascades):
     shares = [share / sum(shares) for share in shares]
     plan = make_plan(descriptor(shares), LEVEL, {"algorithm": "shadow_map", "cascades": cascades})
     chosen = plan.settings["sun"]["relief"]

@@ -1,4 +1,4 @@
-"""Where a sun's map lies: stable windows leave every class as it is while a view moves, tight ones have the finest texels."""
+"""Fit of the sun's map: stable windows keep every class while a view moves, tight windows have the finest texels."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def jacksboro() -> Scene:
 
 @pytest.fixture(scope="module")
 def ridge(jacksboro) -> PerspectiveView:
-    """From above a ridge along the mountains."""
+    """Return a view from above a ridge along the mountains."""
     eye, up = jacksboro.place.above_ground((-84.30, 36.2333, 150.0), "eye")
     target, _ = jacksboro.place.above_ground((-84.22, 36.3133, 0.0), "target")
     return look_at(eye, target, up, 40.0, 150, 200)
@@ -51,7 +51,7 @@ def plan_for(scene: Scene, view: MapView | PerspectiveView, **asked) -> Plan:
 
 
 def dark_in(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Which pixels of a view, drawn as one block, are in shadow, and where there is ground."""
+    """Return which pixels of a view, drawn as one block, are in shadow, and which show ground."""
     buffer = geometry_buffer(scene, view)
     (step,) = plan.steps
     receivers = receivers_of(buffer, scene, step.light)
@@ -60,16 +60,16 @@ def dark_in(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> tuple[
 
 
 def overlap(one: np.ndarray, other: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-    """The same points of a view and of the one shifted by whole pixels."""
+    """Return the common points of a view and of the view shifted by whole pixels."""
     height, width = one.shape
     first = one[max(rows, 0) : height + min(rows, 0), max(cols, 0) : width + min(cols, 0)]
     return first, other[max(-rows, 0) : height + min(-rows, 0), max(-cols, 0) : width + min(-cols, 0)]
 
 
 def flickers(scene: Scene, view: MapView | PerspectiveView, **asked) -> list[float]:
-    """FK of whole-pixel shifts of a view. Truth cannot change: the points are the same ones.
+    """Return the flicker of whole-pixel shifts of a view. Truth stays: the points are the same.
 
-    A map's shifts are drawn by plans of their own, a perspective view's by one, whose texels change in steps as it moves.
+    Each shift of a map has its own plan. Shifts of a perspective view share one plan, whose texels change in steps as it moves.
     """
     plan = plan_for(scene, view, **asked)
     before, valid = dark_in(scene, view, plan)
@@ -87,14 +87,14 @@ def flickers(scene: Scene, view: MapView | PerspectiveView, **asked) -> list[flo
 
 
 def ground_round_the_middle(scene: Scene) -> MapView:
-    """6 x 6 km whose pixels lie beside the grid's nodes, so that blocks are counted from the view's corner."""
+    """Return 6 x 6 km whose pixels lie off the grid's nodes, so that blocks count from the view's corner."""
     x, y = scene.view(size=(8, 8)).centre
     return scene.view(bounds=(x - 3000, y - 3000, x + 3000, y + 3000), size=(PX, PX))
 
 
 @pytest.mark.long
-def test_shifts_of_a_map_flip_nothing_where_the_fit_is_stable(gl, jacksboro):
-    """Texels of 20 by 3 pixels, so that a lattice that moved would show."""
+def test_stable_fit_of_a_map_does_not_flicker(gl, jacksboro):
+    """A texel covers 20 by 3 pixels, so that a moving lattice would show."""
     view, map_size = ground_round_the_middle(jacksboro), 96
     texel_m = plan_for(jacksboro, view, map_size=map_size).settings["sun"]["relief"].cascades[0].texel_m
     assert max(texel_m) > 4.0 * describe(jacksboro, view).pixel_m
@@ -102,12 +102,12 @@ def test_shifts_of_a_map_flip_nothing_where_the_fit_is_stable(gl, jacksboro):
     assert max(flickers(jacksboro, view, map_size=map_size, fit="tight")) > 0.005
 
 
-def test_shifts_of_a_perspective_view_flip_nothing_where_the_fit_is_stable(gl, jacksboro, ridge):
+def test_stable_fit_of_a_perspective_view_does_not_flicker(gl, jacksboro, ridge):
     assert flickers(jacksboro, ridge, map_size=256) == [0.0] * len(SHIFTS)
     assert max(flickers(jacksboro, ridge, map_size=256, fit="tight")) > 0.002
 
 
-def test_auto_is_stable_and_says_why(jacksboro, ridge):
+def test_auto_fit_is_stable_with_a_reason(jacksboro, ridge):
     for view in (ground_round_the_middle(jacksboro), ridge):
         plan = plan_for(jacksboro, view)
         assert plan.settings["sun"]["relief"].fit == "stable"
@@ -127,7 +127,7 @@ def maps_of(scene: Scene, buffer: GeometryBuffer, plan: Plan) -> list[DepthMap]:
     azimuth=st.floats(0, 360), altitude=st.floats(2, 89), heading=st.sampled_from([(0.05, 0.05), (-0.04, 0.02), (0.01, -0.04)]),
     cascades=st.integers(1, 4), map_size=st.sampled_from([64, 200, 512]), bits=st.sampled_from([16, 24]),
 )  # fmt: skip
-def test_tight_windows_hold_their_receivers_and_are_never_coarser(jacksboro, azimuth, altitude, heading, cascades, map_size, bits):
+def test_tight_fit_holds_receivers_and_is_never_coarser(jacksboro, azimuth, altitude, heading, cascades, map_size, bits):
     scene = jacksboro.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
     eye, up = scene.place.above_ground((-84.25, 36.2933, 120.0), "eye")
     target, _ = scene.place.above_ground((-84.25 + heading[0], 36.2933 + heading[1], 0.0), "target")
@@ -148,8 +148,8 @@ def test_tight_windows_hold_their_receivers_and_are_never_coarser(jacksboro, azi
             assert (points[:, 2] > 0.0).all() and (points[:, 2] <= each.uniforms["window_m"][2]).all()
 
 
-def test_tight_fit_gains_accuracy(gl, jacksboro):
-    """A view smaller than a block: all texels are for what is seen of it."""
+def test_tight_fit_is_more_accurate(gl, jacksboro):
+    """The view is smaller than a block, and all texels cover its visible part."""
     view = ground_round_the_middle(jacksboro).part(60, 60, 120, 120)
     buffer = geometry_buffer(jacksboro, view)
     truth, found = trace_truth(buffer, jacksboro, find_casters(jacksboro, buffer)), {}

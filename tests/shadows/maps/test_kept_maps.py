@@ -1,4 +1,4 @@
-"""Depth maps are kept while nothing that they were drawn from has changed, drawn anew otherwise, and few of them are held."""
+"""Cache of depth maps: a hit while their inputs are unchanged, a redraw otherwise, and a bounded number of targets."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LAMP = {"kind": "spot", "position": [-30, 10, 18], "target": [0, 0, 0], "cutoff"
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory) -> Build:
-    """``build(trees=3, **keys)`` builds a level of a floor, a box, two tetrahedra that turn, and some trees."""
+    """Return ``build(trees=3, **keys)``, a level of a floor, a box, two tetrahedra that turn, and some trees."""
     folder: Path = tmp_path_factory.mktemp("kept")
     trimesh.creation.box(extents=(8.0, 6.0, 5.0)).export(folder / "house.obj")
     for count in (3, 4):
@@ -67,13 +67,13 @@ def drawn(scene: Scene, plan: Plan | None = None, **asked: Any) -> Frame:
 
 
 def draws(frame: Frame) -> tuple[int, int]:
-    """Draw calls of a frame's depth maps, and how many maps it found."""
+    """Return the draw calls of a frame's depth maps, and the number of cache hits."""
     records = [record for record in frame.passes if record.name.endswith("depth map")]
     assert records and [record.name for record in frame.passes] == frame.plan.passes
     return sum(record.draws for record in records), sum(record.kept for record in records)
 
 
-def test_a_frame_that_repeats_another_draws_no_map_and_looks_the_same(gl, build):
+def test_cached_map_serves_a_repeated_frame(gl, build):
     gl.depth_targets.clear()
     scene = build()
     first, again = drawn(scene), drawn(scene)
@@ -83,7 +83,7 @@ def test_a_frame_that_repeats_another_draws_no_map_and_looks_the_same(gl, build)
     np.testing.assert_array_equal(first.color, again.color)
 
 
-def test_what_is_forgotten_is_drawn_anew(gl, build):
+def test_evicted_map_is_drawn_anew(gl, build):
     scene = build()
     first = drawn(scene)
     gl.depth_targets.clear()
@@ -92,13 +92,13 @@ def test_what_is_forgotten_is_drawn_anew(gl, build):
     np.testing.assert_array_equal(first.visibility, again.visibility)
 
 
-def test_cascades_and_lamps_are_kept_each_by_itself(gl, build):
+def test_cascades_and_lamps_have_separate_cache_entries(gl, build):
     gl.depth_targets.clear()
     scene = build(lights={"lamp": LAMP})
     plan = planned(scene, cascades=3)
     count, _ = draws(drawn(scene, plan))
     maps = len(plan.settings["sun"]["relief"].cascades) + 1
-    assert maps > 2 and 2 * maps < count <= 3 * maps  # ground and figures, and trees where any stand in the way of a map's part
+    assert maps > 2 and 2 * maps < count <= 3 * maps  # ground and figures, and trees where some may cast into the map
     assert draws(drawn(scene, plan)) == (0, maps)
 
 
@@ -113,18 +113,18 @@ CHANGES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_each_changed_setting_draws_anew(gl, build, name):
+def test_changed_setting_misses_the_cache(gl, build, name):
     gl.depth_targets.clear()
     scene = build()
     before = drawn(scene)
     changed = drawn(scene, **CHANGES[name])
     assert changed.plan.settings != before.plan.settings
     assert draws(changed)[0] > 0 and draws(changed)[1] == 0
-    assert draws(drawn(scene)) == (0, 1)  # the first one is still there
+    assert draws(drawn(scene)) == (0, 1)  # the first map is still cached
 
 
-def test_each_change_of_the_scene_draws_anew(gl, build):
-    """The sun, the clock of what moves, the camera's place, a tree more: under one and the same plan, so that it is they."""
+def test_changed_scene_misses_the_cache(gl, build):
+    """Sun, clock of motions, camera position and trees change under one plan, so that the scene alone causes the miss."""
     gl.depth_targets.clear()
     scene = build()
     plan = planned(scene)
@@ -134,8 +134,8 @@ def test_each_change_of_the_scene_draws_anew(gl, build):
         assert draws(drawn(other, plan)) == (3, 0)
 
 
-def test_a_change_shows(gl, build):
-    """A turned caster's shadow is the new one, as if no map had been kept."""
+def test_changed_scene_shows_its_new_shadow(gl, build):
+    """The picture after a motion equals the picture with an empty cache."""
     scene = build()
     plan = planned(scene)
     drawn(scene, plan)
@@ -145,8 +145,8 @@ def test_a_change_shows(gl, build):
     assert (turned.visibility != drawn(scene, plan).visibility).any()
 
 
-def test_maps_of_map_views_are_not_kept(gl, build):
-    """Their pictures are: block by block, by whoever asks for them."""
+def test_maps_of_map_views_are_not_cached(gl, build):
+    """Their pictures are cached instead: block by block, by the callers."""
     scene = build()
     view = scene.view(bounds=(-40, -40, 40, 40), size=(120, 120))
     plan = plan_of(scene, view, algorithm="shadow_map", map_size=256)
@@ -155,8 +155,8 @@ def test_maps_of_map_views_are_not_kept(gl, build):
         assert count > 0 and kept == 0
 
 
-def test_what_no_longer_exists_is_not_mistaken_for_what_follows(gl, build):
-    """Scenes come and go at the same addresses: each draws its own maps."""
+def test_cache_key_survives_reused_addresses(gl, build):
+    """New scenes may reuse the addresses of deleted ones. Each draws its own maps."""
     plan = None
     for number in range(12):
         scene = build(trees=3 + number % 2)
@@ -169,8 +169,8 @@ SHAPES = st.tuples(st.sampled_from([64, 512, 2048, 4096, 8192, 16384]), st.just(
 
 
 @given(st.lists(st.tuples(SHAPES, st.one_of(st.none(), st.integers(0, 5))), max_size=60))
-def test_few_targets_are_held_and_each_holds_what_was_drawn_in_it_last(asked):
-    """Numbers and bytes are bounded, nothing leaks, and a content is found exactly where it was drawn and is still held."""
+def test_depth_targets_are_bounded_and_hold_their_last_content(asked):
+    """Number and bytes are bounded, nothing leaks, and a content is found exactly while its target holds it."""
     alive: dict[int, tuple[int, int, int]] = {}
     made = itertools.count()
 
@@ -197,8 +197,8 @@ def test_few_targets_are_held_and_each_holds_what_was_drawn_in_it_last(asked):
     assert all(targets.kept((shape, content)) is None for shape, content in asked if content is not None)
 
 
-def test_what_follows_a_camera_is_drawn_where_older_maps_were():
-    """Three maps a frame, of three shapes, each frame's anew: soon no target is made any more."""
+def test_depth_targets_are_reused_by_a_moving_camera():
+    """A frame has three maps of three shapes, and every frame draws them anew. Soon no further target is created."""
     made: list[tuple[int, int, int]] = []
 
     def make(*shape: int) -> int:
@@ -215,8 +215,8 @@ def test_what_follows_a_camera_is_drawn_where_older_maps_were():
     assert not made
 
 
-def test_a_map_is_there_while_the_next_one_is_drawn():
-    """However large they are, and whatever their shapes."""
+def test_depth_targets_keep_the_previous_map():
+    """The previous map stays, however large the targets are and whatever their shapes."""
     made = itertools.count()
     released: list[int] = []
     targets = DepthTargets(lambda *shape: next(made), released.append)
@@ -229,7 +229,7 @@ def test_a_map_is_there_while_the_next_one_is_drawn():
         before = taken
 
 
-def test_the_targets_used_last_stay_longest():
+def test_depth_targets_evict_the_least_recently_used():
     made = itertools.count()
     targets = DepthTargets(lambda *shape: next(made), lambda _: None)
     for number in range(3 * MAX_TARGETS):

@@ -1,4 +1,4 @@
-"""Shadows of spots and omni lights whose outline is known in closed form, and against truth."""
+"""Shadows of spots and omni lights: outlines in closed form, and comparison with truth."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def floor(write_raster) -> Path:
 
 
 def boxes(tmp_path: Path, *parts: tuple, name: str = "boxes.obj") -> dict:
-    """A mesh at the middle of the floor of boxes (size, centre); the lowest must stand on the floor."""
+    """Return a mesh of boxes (size, centre) at the middle of the floor. The lowest must stand on the floor."""
     made = []
     for size, centre in parts:
         mesh = trimesh.creation.box(extents=size)
@@ -41,7 +41,7 @@ def boxes(tmp_path: Path, *parts: tuple, name: str = "boxes.obj") -> dict:
 
 
 def square(scene: Scene, half: float) -> tuple:
-    """A map round the middle, its pixels beside the grid's nodes, and their coordinates (rows, cols)."""
+    """Return a map around the middle, its pixels off the grid's nodes, and their coordinates (rows, cols)."""
     view = scene.view(bounds=(-half, -half, half, half), size=(PX, PX))
     x = view.grid.x(view.col0 + np.arange(PX) * view.col_step)
     y = view.grid.y(view.row0 + np.arange(PX) * view.row_step)
@@ -49,14 +49,14 @@ def square(scene: Scene, half: float) -> tuple:
 
 
 def beyond(x: np.ndarray, y: np.ndarray, outline: shapely.Geometry) -> np.ndarray:
-    """Metres by which points lie outside an outline; negative inside."""
+    """Return the distance of points outside an outline in metres; negative inside."""
     points = shapely.points(x, y)
     away = shapely.distance(outline.boundary, points)
     return np.where(shapely.contains(outline, points), -away, away)
 
 
 def check(frame: Frame, ground: np.ndarray, dark_by: np.ndarray, texel_m: float) -> None:
-    """Ground in shadow where ``dark_by`` (metres beyond the outline) is negative, and lit elsewhere, within a texel."""
+    """Check that ground is dark where ``dark_by`` (metres beyond the outline) is negative and lit elsewhere, within a texel."""
     dark = frame.visibilities["lamp"] < 0.5
     assert (dark & ground & (dark_by > texel_m)).sum() == 0, "shadow beyond the outline"
     assert (~dark & ground & (dark_by < -texel_m)).sum() == 0, "light inside the outline"
@@ -68,8 +68,8 @@ def check(frame: Frame, ground: np.ndarray, dark_by: np.ndarray, texel_m: float)
     ("east", "turn", "algorithm"),
     [(0.0, 0.0, "shadow_map"), (5.0, 0.0, "shadow_map"), (4.0, 30.0, "shadow_map"), (4.0, 30.0, "truth")],
 )
-def test_a_box_below_a_lamp_throws_its_projected_square(gl, floor, make_scene, tmp_path, kind, east, turn, algorithm):
-    """From height H its roof at height h is H / (H - h) times as large on the floor, from the lamp's foot."""
+def test_lamp_shadow_of_a_box_is_its_projected_outline(gl, floor, make_scene, tmp_path, kind, east, turn, algorithm):
+    """From lamp height H the roof at height h appears H / (H - h) times as large on the floor, scaled about the lamp's foot."""
     lamp = {"kind": kind, "position": [0, 0, 12]} | ({"target": [0, 0, 0], "cutoff": 60.0} if kind == "spot" else {})
     mesh = boxes(tmp_path, ((4.0, 3.0, 5.0), (0, 0, 2.5))) | {"at": [east, 0], "turn": turn}
     scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
@@ -78,7 +78,7 @@ def test_a_box_below_a_lamp_throws_its_projected_square(gl, floor, make_scene, t
     roof = shapely.affinity.translate(shapely.affinity.rotate(shapely.box(-2, -1.5, 2, 1.5), turn, origin=(0, 0)), east)
     shadow = shapely.union(shapely.affinity.scale(roof, 12 / 7, 12 / 7, origin=(0, 0)), roof).convex_hull
     tangent = np.tan(np.radians(60.0)) if kind == "spot" else 1.0
-    # Beside the lamp an omni light's texels lie aslant on the floor: longer by its distance over its height, squared.
+    # An omni light's texels are slanted on the floor beside the lamp: longer by (distance / height) squared.
     slant = 1.0 if kind == "spot" else max(1.0, (np.hypot(x, y).max() / 12.0) ** 2)
     texel_m = 1e-3 if algorithm == "truth" else 2 * tangent * 12 / 1000 * slant
     in_frustum = np.hypot(x, y) < (1e9 if kind == "omni" else 12 * np.tan(np.radians(59.9)))
@@ -86,8 +86,8 @@ def test_a_box_below_a_lamp_throws_its_projected_square(gl, floor, make_scene, t
 
 
 @pytest.mark.parametrize("cutoff", [10.0, 35.0, 65.0, 84.0])
-def test_a_spot_lights_a_disc(gl, floor, make_scene, tmp_path, cutoff):
-    """Of radius H tan(cutoff), whatever the map's texels; its border is no question of sampling."""
+def test_spot_lights_a_disc(gl, floor, make_scene, tmp_path, cutoff):
+    """The radius is H tan(cutoff) for any map: the border does not depend on sampling."""
     height = 15.0 / np.tan(np.radians(cutoff))
     lamp = {"kind": "spot", "position": [2, -3, height], "target": [2, -3, 0], "cutoff": cutoff}
     mesh = boxes(tmp_path, ((1.0, 1.0, height / 20), (0, 0, height / 40))) | {"at": [-60, 60]}
@@ -101,8 +101,8 @@ def test_a_spot_lights_a_disc(gl, floor, make_scene, tmp_path, cutoff):
 
 
 @pytest.mark.parametrize("tilt", [20.0, 50.0])
-def test_a_tilted_spot_lights_an_ellipse_and_shades_a_post(gl, floor, make_scene, tmp_path, tilt):
-    """The cone meets the floor where its angle from the axis is the cutoff; a post's shadow points away from the lamp's foot."""
+def test_tilted_spot_lights_an_ellipse_and_shades_a_post(gl, floor, make_scene, tmp_path, tilt):
+    """The cone meets the floor where the angle from its axis is the cutoff. A post's shadow points away from the lamp's foot."""
     lamp = {"kind": "spot", "position": [0, 0, 10], "target": [10 * np.tan(np.radians(tilt)), 0, 0], "cutoff": 25.0}
     mesh = boxes(tmp_path, ((0.8, 0.8, 3.0), (0, 0, 1.5))) | {"at": [8, 1.0]}
     scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
@@ -119,7 +119,7 @@ def test_a_tilted_spot_lights_an_ellipse_and_shades_a_post(gl, floor, make_scene
 
 
 def inside_segment(lamp: np.ndarray, points: np.ndarray, centre: np.ndarray, half: float) -> np.ndarray:
-    """Whether the way from a lamp to points (n, 3) meets a cube."""
+    """Return whether the segment from a lamp to points (n, 3) meets a cube."""
     way = points - lamp
     with np.errstate(divide="ignore", invalid="ignore"):
         near, far = ((centre - lamp - np.sign(way) * half) / way, (centre - lamp + np.sign(way) * half) / way)
@@ -129,12 +129,12 @@ def inside_segment(lamp: np.ndarray, points: np.ndarray, centre: np.ndarray, hal
 
 LAMP = np.array([0.0, 0.0, 12.0])
 ROOM_M = 10.0
-"""Half the side of the room round the lamp."""
+"""Half the side of the room around the lamp."""
 
 
 @pytest.mark.parametrize("algorithm", ["shadow_map", "truth"])
-def test_an_omni_light_shines_and_is_blocked_in_all_directions(gl, floor, make_scene, tmp_path, algorithm):
-    """Six cubes round a lamp in a room of thin slabs: each wall has its cube's shadow, corners and edges of the room none.
+def test_omni_light_casts_in_all_directions(gl, floor, make_scene, tmp_path, algorithm):
+    """Six cubes surround a lamp in a room of thin slabs. Each wall has its cube's shadow; corners and edges of the room have none.
 
     Two cameras in opposite corners see all walls. The room reaches below the floor, which is moved out of the way.
     """
@@ -163,7 +163,7 @@ def test_an_omni_light_shines_and_is_blocked_in_all_directions(gl, floor, make_s
         point = frame.position_earth_m
         off = np.abs(point - LAMP)
         margin = 1e-3 if algorithm == "truth" else 0.03  # a texel of 20 mm and a half
-        # Where two walls meet, a texel's middle may lie on the other one.
+        # Where two walls meet, a texel centre may lie on the other wall.
         wall = frame.valid & (np.abs(off.max(axis=-1) - ROOM_M) < 1e-3) & (np.sort(off, axis=-1)[..., 1] < ROOM_M - margin)
         assert wall.mean() > 0.5
         points = point[wall]
@@ -178,8 +178,8 @@ def test_an_omni_light_shines_and_is_blocked_in_all_directions(gl, floor, make_s
     assert walls_seen == {(axis, side) for axis in range(3) for side in (-1, 1)}
 
 
-def test_a_spot_straight_up_lights_a_ceiling(gl, floor, make_scene, tmp_path):
-    """Up is a direction like any other: a disc on the ceiling's underside, with a hole where a cube is in the way."""
+def test_spot_straight_up_lights_a_ceiling(gl, floor, make_scene, tmp_path):
+    """The ceiling's underside shows a disc, with a hole where a cube occludes the lamp."""
     parts = [((60.0, 60.0, 0.2), (0, 0, 20.1)), ((2.0, 2.0, 2.0), (0, 0, 10.0)), ((0.1, 0.1, 0.1), (0, 40, 0.05))]
     views = {"eye": {"kind": "perspective", "eye": [1, -15, 1], "target": [0, 0, 20], "fov": 80, "size": [160, 160]}}
     lamp = {"kind": "spot", "position": [0, 0, 2], "target": [0, 0, 20], "cutoff": 30.0}
@@ -188,7 +188,7 @@ def test_a_spot_straight_up_lights_a_ceiling(gl, floor, make_scene, tmp_path):
     ceiling = frame.valid & (np.abs(frame.height_m - 20.0) < 1e-3)
     x, y = frame.position_earth_m[ceiling][:, :2].T
     disc = np.hypot(x, y) - 18.0 * np.tan(np.radians(30.0))
-    hole = np.maximum(np.abs(x), np.abs(y)) - 18.0 / 7.0  # of the cube's underside, 7 m above the lamp
+    hole = np.maximum(np.abs(x), np.abs(y)) - 18.0 / 7.0  # the hole is that of the cube's underside, 7 m above the lamp
     lit = frame.visibilities["lamp"][ceiling] >= 0.5
     assert ceiling.mean() > 0.3 and not lit[disc > 1e-3].any() and not lit[hole < -0.05].any()
     assert lit[(disc < -0.01) & (hole > 0.05)].all() and (hole < -0.05).any()
@@ -196,7 +196,7 @@ def test_a_spot_straight_up_lights_a_ceiling(gl, floor, make_scene, tmp_path):
 
 @pytest.fixture
 def grove(write_raster, make_scene, tmp_path) -> Scene:
-    """Rolling ground with trees and a house under a spot and an omni light, seen from the side and from above."""
+    """Return rolling ground with trees and a house under a spot and an omni light, seen from the side and from above."""
     y, x = np.mgrid[0:60, 0:60] / 59.0
     heights = 3 * np.sin(6 * x + 1) + 2.5 * np.cos(7 * y)
     raster = write_raster(heights.astype(np.float32), ENGINEERING, -60.0, 60.0, 2.0)
@@ -218,8 +218,8 @@ def grove(write_raster, make_scene, tmp_path) -> Scene:
 
 @pytest.mark.parametrize("light", ["beam", "bulb"])
 @pytest.mark.parametrize("kind", ["perspective", "map"])
-def test_the_map_of_a_lamp_agrees_with_truth(gl, grove, light, kind):
-    """No error inside of shadows or of light, on ground, walls and trees alike, and few at their borders."""
+def test_lamp_map_agrees_with_truth(gl, grove, light, kind):
+    """Shadows and lit areas have no interior error on ground, walls and trees, and few errors at their borders."""
     view = grove.view("eye") if kind == "perspective" else grove.view(bounds=(-40, -40, 40, 40), size=(211, 211))
     frame = render_points(grove, view, algorithm="shadow_map", map_size=2048, filter=1)
     buffer = geometry_buffer(grove, view)
@@ -232,8 +232,8 @@ def test_the_map_of_a_lamp_agrees_with_truth(gl, grove, light, kind):
     assert (dark[attached(buffer, grove, light) & buffer.valid]).all()
 
 
-def test_a_lamp_with_nothing_before_it_needs_no_map(gl, floor, make_scene, tmp_path):
-    """A spot that shines past everything that is seen: all dark, and the plan's passes all the same."""
+def test_lamp_that_lights_nothing_visible_leaves_it_dark(gl, floor, make_scene, tmp_path):
+    """The spot shines past the view. All is dark, and the passes are still those of the plan."""
     lamp = {"kind": "spot", "position": [150, 150, 5], "target": [190, 190, 5], "cutoff": 5.0}
     mesh = boxes(tmp_path, ((4.0, 3.0, 5.0), (0, 0, 2.5)))
     scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
@@ -243,8 +243,8 @@ def test_a_lamp_with_nothing_before_it_needs_no_map(gl, floor, make_scene, tmp_p
 
 
 @pytest.mark.parametrize("bits", [16, 24, 32])
-def test_depths_of_any_kind_show_no_acne(gl, floor, make_scene, tmp_path, bits):
-    """A floor from straight above to grazing, under a lamp close to it, is lit throughout but for the box's shadow."""
+def test_lamp_depths_of_all_bits_show_no_acne(gl, floor, make_scene, tmp_path, bits):
+    """Under a close lamp, from vertical to grazing light, the floor is lit except for the box's shadow."""
     mesh = boxes(tmp_path, ((0.5, 0.5, 0.5), (0, 0, 0.25))) | {"at": [150, 150]}
     scene = make_scene(floor, sun="none", lights={"lamp": {"kind": "omni", "position": [3.3, 1.7, 4.0]}}, meshes=[mesh])
     view, _, _ = square(scene, 60.0)

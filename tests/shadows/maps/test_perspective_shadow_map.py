@@ -1,4 +1,4 @@
-"""Perspective shadow maps as drawn: against truth from all sides, without acne, and finer near the eye than a shadow map."""
+"""Perspective shadow maps: agreement with truth from all sides, no acne, and finer edges near the eye than a shadow map."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SPOT = {"kind": "spot", "position": [20, -12, 20], "target": [0, 0, 0], "cutoff"
 def fill(
     buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple = ("relief", "meshes", "forest"), **how
 ) -> tuple[np.ndarray, PassLog]:
-    """Visibility of a light, attached shadow included, NaN where there is no surface; and the log."""
+    """Return the visibility of a light and the pass log. Attached shadow counts; NaN marks no surface."""
     settings = PerspectiveMapSettings(**{"map_size": 1024, "depth_bits": 24 if light == "sun" else 32, "filter": 1, **how})
     log = PassLog()
     receivers = receivers_of(buffer, scene, light)
@@ -51,7 +51,7 @@ def fill(
 
 
 def plane(write_raster, slope_deg: float, towards_deg: float) -> Path:
-    """A plane of 960 m that rises by a slope away from the azimuth it faces."""
+    """Write a plane of 960 m that faces an azimuth with a slope."""
     axis = (np.arange(96) - 47.5) * 10.0
     east, north = np.meshgrid(axis, -axis)
     facing = np.radians(towards_deg)
@@ -59,13 +59,13 @@ def plane(write_raster, slope_deg: float, towards_deg: float) -> Path:
     return write_raster(rise.astype(np.float32), ENGINEERING, -480, 480, 10.0, name="plane.tif")
 
 
-# -- no surface shades itself
+# -- self-shadowing
 
 
 @pytest.mark.parametrize("bits", [16, 24, 32])
 @pytest.mark.parametrize(("slope", "towards"), [(0, 0), (30, 203), (70, 290)])
-def test_planes_are_lit_whatever_their_slope(gl, write_raster, make_scene, slope, towards, bits):
-    """Under the sun from high to grazing, before, behind and beside the camera, and under a lamp; with all numbers of taps."""
+def test_perspective_map_does_not_self_shadow_planes(gl, write_raster, make_scene, slope, towards, bits):
+    """Suns range from high to grazing, before, behind and beside the camera. A lamp and all tap counts are covered."""
     raster = plane(write_raster, slope, towards)
     for altitude, aside in ((75.0, 0.0), (25.0, -60.0), (6.0, 70.0), (4.0, 0.0)):
         views = {"eye": {"kind": "perspective", "eye": [10, -40, 12], "target": [0, 30, 3], "fov": 50, "size": [120, 90]}}
@@ -79,8 +79,8 @@ def test_planes_are_lit_whatever_their_slope(gl, write_raster, make_scene, slope
                 assert (seen[receivers] == 1.0).all(), (light, altitude, aside, taps)
 
 
-def test_a_plane_that_faces_the_sun_has_no_depth_and_no_acne(gl, write_raster, make_scene):
-    """All receivers at one distance from the sun: what float32 makes of it is no shadow."""
+def test_perspective_map_of_constant_depth_has_no_acne(gl, write_raster, make_scene):
+    """All receivers are at one distance from the sun, and rounding to float32 must not shade them."""
     raster = plane(write_raster, 40, 180)
     views = {"eye": {"kind": "perspective", "eye": [100, -200, 12], "target": [-100, 30, 3], "fov": 50, "size": [120, 90]}}
     scene = make_scene(raster, 180, 50, views=views)
@@ -89,7 +89,7 @@ def test_a_plane_that_faces_the_sun_has_no_depth_and_no_acne(gl, write_raster, m
         assert (fill(buffer, scene, "sun", depth_bits=bits)[0][buffer.valid] == 1.0).all()
 
 
-def test_without_bias_there_is_acne(gl, write_raster, make_scene):
+def test_perspective_map_without_bias_has_acne(gl, write_raster, make_scene):
     raster = plane(write_raster, 40, 203)
     views = {"eye": {"kind": "perspective", "eye": [10, -40, 12], "target": [0, 30, 3], "fov": 50, "size": [120, 90]}}
     scene = make_scene(raster, 260, 20, views=views)
@@ -101,7 +101,7 @@ def test_without_bias_there_is_acne(gl, write_raster, make_scene):
 
 
 def surroundings(folder: Path, azimuth: float, altitude: float, **keys) -> Scene:
-    """Towers all round the eye and boxes before it: most of what shades the view lies behind the eye or beside it."""
+    """Return towers around the eye and boxes before it. Most casters lie behind the eye or beside it."""
     towers = [box((3, 3, 14), 0, (24 * np.sin(t), -18 + 24 * np.cos(t))) for t in np.radians(np.arange(15, 375, 45))]
     near = [box((2, 2, 2), 0, (-3, -8)), box((4, 3, 5), 0, (5, 4)), box((5, 5, 0.3), 6, (-8, 6)), box((30, 1, 4), 0, (0, 40))]
     return level_of(folder, [trimesh.util.concatenate([*towers, *near])], azimuth, altitude, views={"eye": EYE}, **keys)
@@ -115,13 +115,13 @@ def check_against_truth(scene: Scene, light: str) -> None:
     found = error_metrics(seen, real, describe(scene, view, "eye").pixel_m)
     assert (real.valid & ~real.lit & ~real.attached).mean() > 0.005 and real.decidable.mean() > 0.5
     assert found.interior <= MAX_INTERIOR and found.interior_parts == 0, (light, found, log.records)
-    assert found.edge_p95 <= 1.5 and found.missed_shadow < 0.02 and found.wrong_cast < 0.03  # interior sees no thin shadow
+    assert found.edge_p95 <= 1.5 and found.missed_shadow < 0.02 and found.wrong_cast < 0.03  # interior misses thin shadows
 
 
 @pytest.mark.parametrize("azimuth", [0, 50, 90, 140, 183, 240, 270, 310])
 @pytest.mark.parametrize("altitude", [18, 50])
-def test_suns_from_all_sides_agree_with_truth(gl, tmp_path, azimuth, altitude):
-    """The camera looks north: before it, behind it, across."""
+def test_perspective_map_of_any_sun_agrees_with_truth(gl, tmp_path, azimuth, altitude):
+    """The camera looks north: suns stand before it, behind it and to the side."""
     check_against_truth(surroundings(tmp_path, azimuth, altitude), "sun")
 
 
@@ -132,25 +132,28 @@ def test_suns_from_all_sides_agree_with_truth(gl, tmp_path, azimuth, altitude):
         ((1, 6, 12), (2, 2, 0)),
     ],
 )  # fmt: skip
-def test_lamps_from_all_sides_agree_with_truth(gl, tmp_path, place, target):
-    """Before the camera, beside it, behind it, and in the middle of what it sees."""
+def test_perspective_map_of_any_lamp_agrees_with_truth(gl, tmp_path, place, target):
+    """Lamps stand before the camera, beside it, behind it, and in the middle of its view."""
     lamp = {"kind": "spot", "position": place, "target": target, "cutoff": 40}
     check_against_truth(surroundings(tmp_path, 90, 30, lights={"lamp": lamp}), "lamp")
 
 
-def test_a_tower_behind_the_eye_throws_its_shadow_into_the_view(gl, tmp_path):
-    """Of half its width and all its length: the sun in the south at 45 degrees, its foot 5 m behind the eye, 30 m high."""
+def test_perspective_map_holds_a_tower_behind_the_eye(gl, tmp_path):
+    """The tower is 30 m high, with its foot 5 m behind the eye, under a sun in the south at 45 degrees.
+
+    Its shadow reaches half its width to either side, and its full height to the north.
+    """
     eye = {"kind": "perspective", "eye": [0, -20, 3], "target": [0, 0, 0], "fov": 60, "size": [240, 180]}
     scene = level_of(tmp_path, [box((4, 2, 30), 0, (0, -26))], 180, 45, views={"eye": eye})
     buffer = geometry_buffer(scene, scene.view("eye"))
     dark = fill(buffer, scene, "sun", map_size=2048)[0] < 0.5
     x, y = (buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m)[..., :2].transpose(2, 0, 1)
-    inside = (np.abs(x) < 1.9) & (y < 4.9)  # its roof's far edge lies at -25, and 30 m on
+    inside = (np.abs(x) < 1.9) & (y < 4.9)  # the roof's far edge lies at -25, and its shadow ends 30 m further on
     outside = (np.abs(x) > 2.1) | (y > 5.1)
     assert inside[buffer.valid].sum() > 500 and dark[inside & buffer.valid].all() and not dark[outside & buffer.valid].any()
 
 
-def test_trees_throw_the_shade_that_rays_find(gl, write_raster, make_scene, tmp_path):
+def test_perspective_map_of_trees_matches_rays(gl, write_raster, make_scene, tmp_path):
     raster = write_raster(np.zeros((60, 60), np.float32), ENGINEERING, -60.0, 60.0, 2.0)
     rng = np.random.default_rng(11)
     points = np.array([shapely.Point(*p) for p in rng.uniform(-25, 25, (40, 2))], object)
@@ -172,7 +175,7 @@ def test_trees_throw_the_shade_that_rays_find(gl, write_raster, make_scene, tmp_
 
 @pytest.mark.long
 @pytest.mark.parametrize("level", ["thesis_rocks", "thesis_rocks_sun"])
-def test_edges_near_the_eye_are_finer_than_a_shadow_maps(gl, level):
+def test_perspective_map_has_finer_near_edges_than_shadow_map(gl, level):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     view = scene.view("close", size=(320, 256))
     asked = {"map_size": 512, "filter": 3}
@@ -187,7 +190,7 @@ def test_edges_near_the_eye_are_finer_than_a_shadow_maps(gl, level):
 # -- maps and plans
 
 
-def test_a_map_is_kept_while_nothing_changes(gl, tmp_path):
+def test_perspective_map_is_cached_while_unchanged(gl, tmp_path):
     gl.depth_targets.clear()
     scene = surroundings(tmp_path, 120, 30)
     buffer = geometry_buffer(scene, scene.view("eye"))
@@ -198,7 +201,7 @@ def test_a_map_is_kept_while_nothing_changes(gl, tmp_path):
     assert next(iter(fill(buffer, scene, "sun", map_size=512)[1].records.values())).kept == 0
 
 
-def test_a_sun_in_the_views_axis_gets_a_uniform_map_and_says_so(gl, tmp_path):
+def test_perspective_map_is_uniform_for_a_sun_in_the_view_axis(gl, tmp_path):
     eye = {"kind": "perspective", "eye": [0, -20, 10], "target": [0, 0, 0], "fov": 50, "size": [120, 90]}
     down_deg = float(np.degrees(np.arctan2(10, 20)))
     for azimuth, altitude in ((180, down_deg), (180, down_deg + 2 * CONE_DEG)):
@@ -207,7 +210,7 @@ def test_a_sun_in_the_views_axis_gets_a_uniform_map_and_says_so(gl, tmp_path):
         assert note.startswith("a uniform map") == (altitude == down_deg)
 
 
-def test_what_no_light_reaches_needs_no_map(gl, tmp_path):
+def test_perspective_map_skips_a_light_that_reaches_nothing(gl, tmp_path):
     lamp = {"kind": "spot", "position": [90, 90, 5], "target": [95, 95, 0], "cutoff": 5}
     scene = level_of(tmp_path, [box((2, 2, 3))], 120, 30, views={"eye": EYE}, lights={"lamp": lamp})
     frame = render(scene, scene.view("eye"), algorithm=NAME)
@@ -215,7 +218,7 @@ def test_what_no_light_reaches_needs_no_map(gl, tmp_path):
     assert [record.name for record in frame.passes] == frame.plan.passes
 
 
-def test_plans_say_what_was_chosen_and_what_is_left_out(tmp_path):
+def test_plan_names_perspective_map_settings_without_effect(tmp_path):
     scene = level_of(tmp_path, [box((2, 2, 3))], 120, 30, views={"eye": EYE}, lights={"lamp": SPOT})
     view = scene.view("eye")
     plan = plan_of(scene, view, algorithm=NAME)
@@ -232,11 +235,11 @@ def test_plans_say_what_was_chosen_and_what_is_left_out(tmp_path):
         plan_of(scene, scene.view(), algorithm=NAME)
 
 
-# -- several maps, where one is too coarse
+# -- several maps where one map is too coarse
 
 
 def wide_view(tmp_path: Path, **view: Any) -> Scene:
-    """A wall beside level ground of 20 km, seen from near the ground."""
+    """Return a wall beside level ground of 20 km, seen from near the ground."""
     spec = {"kind": "perspective", "eye": [2, -18, 5], "target": [0, 10, 1], "fov": 60, "size": [160, 120], **view}
     walls = [box((3, 12, 4), at_m=(-5, 0)), box((200, 400, 300), at_m=(-900, 6000))]
     ground = {"flat": {"size": [20_000, 20_000], "cells": [80, 80]}}
@@ -248,8 +251,8 @@ def maps_of(scene: Scene, buffer: GeometryBuffer, map_size: int) -> list[perspec
     return perspective_shadow_map.perspective_maps(buffer, buffer.valid & ~attached(buffer, scene), scene, "sun", settings, None)
 
 
-def test_what_one_map_is_too_coarse_for_is_parted(gl, tmp_path):
-    """Every receiver is in one map, and truth agrees as far as texels displace edges; fewer texels need more maps."""
+def test_perspective_maps_split_where_one_map_is_too_coarse(gl, tmp_path):
+    """Each receiver is in one map. Truth agrees within the edge displacement of a texel, and fewer texels need more maps."""
     scene = wide_view(tmp_path, eye=[2, -18, 0.4], target=[0, 10, -1], fov=120)
     buffer = geometry_buffer(scene, scene.view("eye"))
     receivers = np.flatnonzero(buffer.valid & ~attached(buffer, scene))
@@ -274,7 +277,7 @@ def test_what_one_map_is_too_coarse_for_is_parted(gl, tmp_path):
     assert errors.wrong_cast <= 0.05, errors
 
 
-def test_a_usual_view_has_one_map(gl, tmp_path):
+def test_perspective_maps_of_a_usual_view_are_one(gl, tmp_path):
     scene = wide_view(tmp_path)
     (only,) = maps_of(scene, geometry_buffer(scene, scene.view("eye")), 1024)
     assert only.texel_px <= perspective_shadow_map.MAX_TEXEL_PX

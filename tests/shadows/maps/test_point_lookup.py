@@ -1,4 +1,4 @@
-"""Points of perspective views are looked up by a compiled loop as the shaders look them up, and maps hold all that it takes."""
+"""Point lookup: the compiled loop of perspective views agrees with the shaders, and maps hold all relevant casters."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def landscape() -> Scene:
 
 
 def drawn(scene: Scene, **asked: Any) -> Frame:
-    """A view of ground, meshes and trees, all by shadow maps, made anew."""
+    """Return a view of ground, meshes and trees, all by shadow maps, with empty caches."""
     clear_caches("light")
     view = scene.view("close")
     assert isinstance(view, PerspectiveView)
@@ -44,11 +44,11 @@ def drawn(scene: Scene, **asked: Any) -> Frame:
     ],
     ids=lambda asked: "-".join(str(value) for value in asked.values()),
 )  # fmt: skip
-def test_the_loop_gives_what_the_shader_gives(gl, landscape, monkeypatch, asked):
-    """To the bit, on the rasteriser whose arithmetic is that of the loop; elsewhere all but points on a texel's border."""
+def test_point_lookup_equals_the_shader(gl, landscape, monkeypatch, asked):
+    """Results are equal to the bit on the rasteriser with the loop's arithmetic. Elsewhere only points on texel borders differ."""
     by_loop = drawn(landscape, **asked)
     with monkeypatch.context() as patch:
-        # a map that is told not to be uniform is looked up by the shader
+        # a map that reports not to be uniform is looked up by the shader
         patch.setattr(DepthMap, "is_uniform", property(lambda drawn: False))
         by_shader = drawn(landscape, **asked)
     assert any("point_lookup" in label for record in by_loop.passes for label in record.loops)
@@ -59,8 +59,8 @@ def test_the_loop_gives_what_the_shader_gives(gl, landscape, monkeypatch, asked)
     assert (np.nan_to_num(by_loop.visibility) != np.nan_to_num(by_shader.visibility)).mean() < 1e-3
 
 
-def test_the_loop_compares_on_the_points_own_triangle(gl, landscape, monkeypatch):
-    """Without it a coarse map shades slopes by themselves: the comparison above could not pass by never looking."""
+def test_point_lookup_compares_on_the_points_own_triangle(gl, landscape, monkeypatch):
+    """Otherwise slopes in a coarse map shade themselves. The test above would not detect a loop that never compares."""
     right = drawn(landscape, map_size=256)
     with monkeypatch.context() as patch:
         patch.setattr(
@@ -74,8 +74,8 @@ def test_the_loop_compares_on_the_points_own_triangle(gl, landscape, monkeypatch
 
 @pytest.mark.parametrize("taps", [3, "sun"])
 @pytest.mark.parametrize("altitude_deg", [4.0, 21.0, 60.0])
-def test_trees_that_are_left_out_shade_nothing(gl, landscape, monkeypatch, taps, altitude_deg):
-    """Maps without them give the same shadows as maps with all trees; and some are left out."""
+def test_relevant_trees_leave_out_only_trees_without_shadow(gl, landscape, monkeypatch, taps, altitude_deg):
+    """Maps with relevant trees give the same shadows as maps with all trees, and some trees are left out."""
     scene = landscape.with_sun(SunSpec(azimuth=150, altitude=altitude_deg))
     counts: list[tuple[int, int]] = []
 
@@ -99,8 +99,8 @@ def test_trees_that_are_left_out_shade_nothing(gl, landscape, monkeypatch, taps,
     np.testing.assert_array_equal(few.visibility, all_of_them.visibility)
 
 
-def test_a_tree_before_the_receivers_is_not_left_out(gl, landscape, monkeypatch):
-    """A mask that forgets how far from the sun receivers lie loses shadows: this is what the test above would see."""
+def test_relevant_trees_are_needed(gl, landscape, monkeypatch):
+    """Maps without trees lose shadows, which the test above would detect."""
     with_trees = drawn(landscape)
     with monkeypatch.context() as patch:
         patch.setattr(drawing, "relevant_trees", lambda drawn, *args: np.zeros(0, np.int64))

@@ -1,4 +1,4 @@
-"""The matrices of perspective shadow maps: what they promise of every caster, over many suns, spots and cameras."""
+"""Matrices of perspective shadow maps: guarantees for every caster, over many suns, spots and cameras."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from skugga.shadows.maps.post_perspective import (
 INNER = 0.97
 
 SET_UPS = 500
-"""Of suns, and as many of lamps."""
+"""Number of set-ups with suns, and again with lamps."""
 
 finite = st.floats(-3.0, 3.0)
 vectors = st.tuples(finite, finite, finite).map(np.array)
 
 
 def looking(eye: np.ndarray, turn_deg: float, tilt_deg: float) -> Camera:
-    """A camera that looks along an azimuth from north and an altitude."""
+    """Return a camera that looks along an azimuth from north and an altitude."""
     turn, tilt = np.radians([turn_deg, tilt_deg])
     forward = np.array([np.sin(turn) * np.cos(tilt), np.cos(turn) * np.cos(tilt), np.sin(tilt)])
     right = np.array([np.cos(turn), -np.sin(turn), 0.0])
@@ -45,7 +45,7 @@ def sun(direction: np.ndarray) -> Light:
 
 
 def through(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) in clip space (n, 4)."""
+    """Return points (n, 3) in clip space (n, 4)."""
     return points @ matrix[:, :3].T + matrix[:, 3]
 
 
@@ -53,8 +53,8 @@ def through(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 @given(vectors, st.one_of(finite, st.just(0.0)), vectors)
-def test_a_light_of_any_kind_goes_to_one_point(place, fourth, middle):
-    """Whether it is a point, a sink or parallel: to (0, 0, -1, 0); and the middle to the middle."""
+def test_light_matrix_maps_any_light_to_one_point(place, fourth, middle):
+    """Point, sink and parallel lights go to (0, 0, -1, 0), and the middle goes to the origin."""
     if np.linalg.norm(place - fourth * middle) < 1e-2:
         return
     matrix = light_matrix(np.array([*place, fourth]), middle)
@@ -62,7 +62,7 @@ def test_a_light_of_any_kind_goes_to_one_point(place, fourth, middle):
     np.testing.assert_allclose(matrix @ [*middle, 1.0], [0, 0, 0, 1], atol=1e-6)
 
 
-def test_the_camera_takes_its_planes_to_the_cube():
+def test_camera_matrix_maps_its_planes_to_the_cube():
     camera = looking([3, -2, 5], 30, -10)
     points = np.array([camera.eye_m + camera.axis * away for away in (2.0, 50.0)])
     for slide in (0.0, 7.0):
@@ -73,7 +73,7 @@ def test_the_camera_takes_its_planes_to_the_cube():
 
 
 @pytest.mark.parametrize(("near", "far", "slide"), [(0.0, 5.0, 0.0), (5.0, 5.0, 1.0), (-3.0, 5.0, 2.0)])
-def test_planes_that_are_none_are_refused(near, far, slide):
+def test_camera_matrix_refuses_invalid_planes(near, far, slide):
     with pytest.raises(ValueError, match="0 < near < far must hold"):
         camera_matrix(looking([0, 0, 0], 0, 0), 0.5, near, far, slide)
 
@@ -81,22 +81,25 @@ def test_planes_that_are_none_are_refused(near, far, slide):
 @pytest.mark.parametrize(
     ("direction", "kind"), [([0, 1, 0.5], "point"), ([0, -1, 0.5], "sink"), ([1, 0, 0.5], "parallel"), ([0, 0, 1], "parallel")]
 )
-def test_suns_are_told_apart_by_where_they_stand(direction, kind):
-    """Before a camera that looks north, behind it, and across its axis."""
+def test_kind_of_classifies_suns(direction, kind):
+    """The camera looks north: suns stand before it, behind it, and across its axis."""
     matrix = camera_matrix(looking([0, 0, 2], 0, 0), 0.5, 1.0, 100.0, 3.0)
     assert kind_of(matrix @ [*direction, 0.0]) == kind
 
 
-def test_a_lamp_changes_its_kind_with_the_slide_back():
-    """Two metres behind the eye it is a sink; from three metres on, a point in front."""
+def test_kind_of_a_lamp_depends_on_the_slide_back():
+    """Two metres behind the eye the lamp is a sink. From a slide of three metres on, it is a point in front."""
     camera = looking([0, 0, 2], 0, 0)
     kinds = [kind_of(camera_matrix(camera, 0.5, 1.0, 100.0, slide) @ [5, -2, 4, 1]) for slide in (0.0, 1.9, 2.0, 3.0)]
     assert kinds == ["sink", "sink", "parallel", "point"]
 
 
 @pytest.mark.parametrize("behind", [False, True])
-def test_depths_are_those_of_a_perspective_through_infinity_but_for_scale_and_shift(behind):
-    """Behind the camera, depth e / z between near = -e and far = +e (Kozlov's); before it, between two planes as always."""
+def test_light_matrix_depth_is_an_affine_perspective_depth(behind):
+    """Behind the camera, depth is e / z between near = -e and far = +e (Kozlov).
+
+    Before the camera it is a usual perspective depth between two planes.
+    """
     camera = looking([0, 0, 2], 0, 0)
     view = camera_matrix(camera, 1.0, 1.0, 60.0, 2.0)
     light = view @ np.array([0.3, -0.8 if behind else 0.8, 0.5, 0.0])
@@ -110,13 +113,13 @@ def test_depths_are_those_of_a_perspective_through_infinity_but_for_scale_and_sh
     assert (ahead > 0).all()
     theirs = (far + near) / (far - near) - 2.0 * far * near / (far - near) / ahead
     ours = projected(matrix, points)
-    # On a ray both rise together: what is left of theirs is a stretch and a shift that the place in the map decides alone.
+    # Both depths rise together along a ray: they differ by a scale and a shift that depend only on the position in the map.
     stretch = np.polyfit(ours[:, 2], theirs, 1)
     np.testing.assert_allclose(np.polyval(stretch, ours[:, 2]), theirs, atol=1e-9)
     assert stretch[0] > 0
 
 
-def test_bounds_are_fitted():
+def test_fit_to_bounds_maps_bounds_to_the_cube():
     rng = np.random.default_rng(1)
     matrix = light_matrix(np.array([0.2, 0.4, 0.8, 0.0]), np.array([1.0, 2.0, 3.0]))
     points = rng.uniform(-5, 9, (100, 3))
@@ -130,7 +133,7 @@ def test_bounds_are_fitted():
 
 
 def set_up(rng: np.random.Generator, lamp: bool) -> tuple[Camera, Light, np.ndarray]:
-    """A camera over level ground, a light anywhere, and receivers on the ground and floating over it, in view and in the light."""
+    """Return a camera over level ground, a light anywhere, and lit receivers in view, on the ground and floating over it."""
     camera = looking(rng.uniform([-500, -500, 1], [500, 500, 60]), rng.uniform(0, 360), rng.uniform(-70, 25))
     reach_m, wide = 10.0 ** rng.uniform(1.5, 4.3), rng.uniform(0.2, 1.2)
     rays = np.column_stack([rng.uniform(-wide, wide, (600, 2)), np.ones(600)]) @ camera.camera_from_frame
@@ -152,7 +155,7 @@ def set_up(rng: np.random.Generator, lamp: bool) -> tuple[Camera, Light, np.ndar
 
 
 def map_of(camera: Camera, light: Light, points: np.ndarray) -> tuple[PostPerspective, np.ndarray]:
-    """The map for receivers, and its matrix as it is uploaded."""
+    """Return the map for receivers, and its matrix for upload."""
     found = post_perspectives(camera, light, points, INNER)[0]
     seen = projected(found.clip_from_frame, points)
     return found, fit_to_bounds(found.clip_from_frame, seen.min(axis=0), seen.max(axis=0), INNER, 0.01)
@@ -160,9 +163,10 @@ def map_of(camera: Camera, light: Light, points: np.ndarray) -> tuple[PostPerspe
 
 @pytest.mark.long
 @pytest.mark.parametrize("lamp", [False, True])
-def test_no_caster_is_lost_in_a_thousand_set_ups(lamp):
-    """Casters all along the way from each receiver to the light, behind the eye and beside the view among them, are drawn where the
-    receiver is, before it, and one before the other; receivers are within the unit cube in float32 as well.
+def test_post_perspectives_lose_no_caster_in_a_thousand_set_ups(lamp):
+    """Casters lie along the line from each receiver to the light, also behind the eye and beside the view.
+
+    They project onto the receiver, with depths in their order. Receivers stay within the unit cube in float32 as well.
     """
     rng = np.random.default_rng(20 + lamp)
     kinds: Counter = Counter()
@@ -198,7 +202,7 @@ def test_no_caster_is_lost_in_a_thousand_set_ups(lamp):
 
 
 @pytest.mark.parametrize("lamp", [False, True])
-def test_no_map_is_coarser_than_a_uniform_one(lamp):
+def test_post_perspectives_are_never_coarser_than_uniform(lamp):
     rng = np.random.default_rng(30 + lamp)
     gain = []
     for _ in range(150):
@@ -215,7 +219,7 @@ def test_no_map_is_coarser_than_a_uniform_one(lamp):
 
 
 @pytest.mark.parametrize("away", [1.0, -1.0])
-def test_round_the_views_axis_the_map_is_uniform_and_says_so(away):
+def test_post_perspectives_are_uniform_around_the_view_axis(away):
     rng = np.random.default_rng(5)
     camera = looking([0, 0, 20], 0, -30)
     points = camera.eye_m + (np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.ones(300)]) * 30.0) @ camera.camera_from_frame
@@ -231,8 +235,8 @@ def test_round_the_views_axis_the_map_is_uniform_and_says_so(away):
             assert found[0].kind == ("point" if away > 0 else "sink") and not found[0].note
 
 
-def test_a_lamp_amid_what_it_shines_at_gets_a_uniform_map_that_says_so():
-    """A spot just above wide ground, straight down, with a cone of 88 degrees."""
+def test_post_perspectives_of_a_lamp_amid_receivers_are_uniform():
+    """The spot stands just above wide ground and points straight down, with a cone of 88 degrees."""
     rng = np.random.default_rng(6)
     camera = looking([0, -40, 30], 0, -35)
     points = np.column_stack([rng.uniform(-20, 20, (400, 2)), np.zeros(400)])
@@ -243,8 +247,8 @@ def test_a_lamp_amid_what_it_shines_at_gets_a_uniform_map_that_says_so():
         assert (horizon_distance(each.clip_from_frame, points) > 0).all()
 
 
-def test_a_sun_that_crosses_the_axis_changes_the_map_steadily():
-    """From before the camera by way of across it to behind it: the kinds follow one another, the texels hardly change."""
+def test_post_perspectives_are_continuous_across_the_axis():
+    """The sun moves from before the camera across it to behind it. The kinds follow one another, and texels hardly change."""
     rng = np.random.default_rng(7)
     camera = looking([0, 0, 12], 0, -15)
     rays = np.column_stack([rng.uniform(-0.6, 0.6, (800, 2)), np.ones(800)]) @ camera.camera_from_frame
@@ -258,8 +262,11 @@ def test_a_sun_that_crosses_the_axis_changes_the_map_steadily():
     assert sizes.max() < 1.01 * sizes.min()
 
 
-def test_slide_backs_go_from_none_by_the_nearest_receivers_distance_to_far_beyond_the_farthest():
-    """However deep the view is: without short ones what is near would get a sliver of the map."""
+def test_post_perspectives_try_slide_backs_of_all_scales():
+    """Slide-backs start at 0, continue at the nearest receiver's distance and double up to far beyond the farthest.
+
+    Without short ones, near receivers of a deep view would get a sliver of the map.
+    """
     camera = looking([0, 0, 2], 0, -60)
     across = np.linspace(-0.3, 0.3, 9)
     for deep in (1.5, 100.0, 500.0):
@@ -272,8 +279,8 @@ def test_slide_backs_go_from_none_by_the_nearest_receivers_distance_to_far_beyon
         np.testing.assert_allclose(np.diff(np.log2(slides[1:])), 1.0)
 
 
-def test_what_is_on_the_rim_is_held_and_weighs_nothing():
-    """Receivers that a sample leaves out may be its outermost: the map is made to hold them, and to suit the others."""
+def test_post_perspectives_hold_outer_receivers_without_weight():
+    """The outermost receivers may be missing from a sample. The map holds them, and fits the sample."""
     camera = looking([0, 0, 20], 0, -30)
     rng = np.random.default_rng(9)
     rays = np.column_stack([rng.uniform(-0.1, 0.1, (200, 2)), np.ones(200)]) * 30.0
@@ -284,10 +291,10 @@ def test_what_is_on_the_rim_is_held_and_weighs_nothing():
     assert any(np.abs(projected(each.clip_from_frame, aside)[:, :2]).max() > 1.0 for each in alone)
     for each in post_perspectives(camera, light, points, INNER, aside):
         at = projected(each.clip_from_frame, np.concatenate([points, aside]))[:, :2]
-        assert np.abs(at).max() <= 1.01 * INNER  # outlines are of 64 directions
+        assert np.abs(at).max() <= 1.01 * INNER  # outlines have 64 directions
 
 
-def test_a_single_receiver_gets_a_map_that_tells_left_from_up():
+def test_post_perspectives_of_one_receiver_are_not_degenerate():
     camera, light = looking([0, 0, 20], 0, -30), sun(np.array([1.0, 0.3, 0.6]))
     point = (camera.eye_m + 30.0 * camera.axis)[None]
     for each in post_perspectives(camera, light, point, INNER):

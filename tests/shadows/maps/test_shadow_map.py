@@ -1,4 +1,4 @@
-"""The shadow map, and what is taken where nothing is asked: no seams, options that do something, holes that throw no walls."""
+"""Shadow map and default algorithm: no seams, effective options, and no walls at holes."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def jacksboro() -> Scene:
 
 
 @pytest.mark.parametrize("algorithm", ["shadow_map", None])
-def test_a_tile_is_cut_from_the_same_pixels_as_a_bigger_map(gl, jacksboro, algorithm):
-    """Byte for byte: one tile, and a map of 3 x 2 tiles at that zoom that crosses a block's border."""
+def test_tile_equals_the_same_pixels_of_a_larger_map(gl, jacksboro, algorithm):
+    """A tile equals a map of 3 x 2 tiles of its zoom byte for byte, across a block border."""
     block = block_at(-84.25, 36.2933, 12)
     tile = block.part(256, 512, 256, 256)
     bigger = block.part(256, 256, 512, 1024)
@@ -33,7 +33,7 @@ def test_a_tile_is_cut_from_the_same_pixels_as_a_bigger_map(gl, jacksboro, algor
 
 @pytest.fixture(scope="module")
 def usual(jacksboro) -> Frame:
-    """What each option must change."""
+    """Return the picture with default options, which each option must change."""
     return render(jacksboro, block_at(-84.25, 36.2933, 12).part(0, 0, 256, 256), algorithm="shadow_map")
 
 
@@ -42,14 +42,14 @@ def usual(jacksboro) -> Frame:
     [{"map_size": 256}, {"filter": 1}, {"filter": 5}, {"algorithm": "none"}],
     ids=lambda change: "=".join(str(part) for part in next(iter(change.items()))),
 )
-def test_every_option_changes_the_picture(gl, jacksboro, usual, change):
+def test_shadow_map_options_change_the_picture(gl, jacksboro, usual, change):
     changed = render(jacksboro, usual.view, **{"algorithm": "shadow_map", **change})
     assert (usual.color != changed.color).any(axis=-1).mean() > 1e-3
 
 
 @pytest.mark.parametrize("algorithm", ["shadow_map", None])
-def test_holes_and_islands_throw_no_walls(gl, write_raster, make_scene, algorithm):
-    """Level ground with holes stays lit round them, and the holes are transparent."""
+def test_holes_and_islands_cast_no_walls(gl, write_raster, make_scene, algorithm):
+    """Level ground with holes stays lit around them, and the holes are transparent."""
     heights = np.full((80, 80), 50.0, np.float32)
     heights[30:50, 30:50] = -9999.0
     heights[10, 10] = -9999.0

@@ -1,4 +1,4 @@
-"""How many taps a sun's map takes: three where texels are finer than penumbrae, one where they only blur."""
+"""Taps of a sun's map: three where texels are finer than penumbrae, one where they would only blur."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from skugga.terrain.scene import build_scene
 
 
 def seen(**casts: Casting) -> Descriptor:
-    """What a map shows under a sun whose shadows are these."""
+    """Return the descriptor of a map under a sun with the given shadows."""
     return Descriptor(
         view="map", view_kind="map", flat_world=True, pixel_m=1.0, node_m=1.0, casters=tuple(casts), relief_m=0.0,
         block_relief_m=0.0,
@@ -26,7 +26,7 @@ def seen(**casts: Casting) -> Descriptor:
 
 
 def casting(thrown_m: float | None, *cast: float) -> Casting:
-    """Shadows in bands of a quarter of what is seen each, from 1, 2, 4 m ... on."""
+    """Return shadows in bands of a quarter of the view each, from 1, 2, 4 m ... on."""
     bands = tuple(
         CastBand(near_m=2.0**k, far_m=2.0 ** (k + 1), share=0.25, cast=share, pixel_m=0.1, differs=(0.1,) * 8)
         for k, share in enumerate(cast)
@@ -43,18 +43,18 @@ EDGE_M = MAX_FINE_SHARE * DISC_WIDTH * THROWN_M
 
 
 @pytest.mark.parametrize(("texel_m", "taps"), [(0.9 * EDGE_M, 3), (1.1 * EDGE_M, 1)])
-def test_taps_go_by_texels_and_penumbrae(texel_m, taps):
+def test_sun_taps_follow_texel_and_penumbra_widths(texel_m, taps):
     found, why = sun_taps(seen(meshes=casting(THROWN_M, 0.5)), [cascade(texel_m)])
     assert found == taps and why.startswith("by soft error: texels are finer than penumbrae in ")
 
 
-def test_each_cascade_counts_with_the_shadow_that_it_shows():
+def test_fine_share_weights_cascades_by_their_shadow():
     fine_near = [cascade(0.5 * EDGE_M, far_m=2.0), cascade(2.0 * EDGE_M)]
     assert fine_share(seen(meshes=casting(THROWN_M, 0.6, 0.2)), fine_near) == pytest.approx(0.75)
     assert fine_share(seen(meshes=casting(THROWN_M, 0.2, 0.6)), fine_near) == pytest.approx(0.25)
 
 
-def test_leaves_speak_for_one_tap_and_relief_for_nothing():
+def test_fine_share_counts_foliage_as_coarse_and_skips_relief():
     fine = [cascade(0.1 * EDGE_M)]
     assert fine_share(seen(meshes=casting(THROWN_M, 0.2), forest=casting(THROWN_M, 0.6)), fine) == pytest.approx(0.25)
     assert fine_share(seen(relief=casting(None, 0.9)), fine) is None and sun_taps(seen(relief=casting(None, 0.9)), fine)[0] == 3
@@ -65,8 +65,8 @@ def test_leaves_speak_for_one_tap_and_relief_for_nothing():
     ("jacksboro_wooded", "village", 4096, 1), ("thesis_boxgrid_sun", "close", 1024, 3), ("thesis_rocks_sun", "main", 1024, 1),
     ("thesis_street_sun", "main", 4096, 3),
 ])  # fmt: skip
-def test_bundled_levels_take_what_is_nearer_to_the_disc(level, view, map_size, taps):
-    """As ``docs/accuracy.md`` measures it."""
+def test_sun_taps_of_bundled_levels_are_nearest_to_the_disc(level, view, map_size, taps):
+    """``docs/accuracy.md`` has the measurements."""
     scene = build_scene(load_level(find_level(level)))
     seen_from = scene.view(view, size=(480, 384))
     asked = {"algorithm": "shadow_map", "map_size": map_size}

@@ -1,4 +1,4 @@
-"""Grounds whose horizons are known, as rasters of a metric CRS."""
+"""Grounds with known horizons, as rasters of a metric CRS."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CELL_M = 10.0
 
 
 def flat_world(tmp_path: Path, make_scene: Callable[..., Scene], heights: np.ndarray, cell_m: float = CELL_M, **keys) -> Scene:
-    """A scene over heights (rows, cols) whose middle node, of odd numbers of these, is the place (0, 0)."""
+    """Return a scene over heights (rows, cols), odd numbers of nodes, whose middle node is at (0, 0)."""
     from tests.rasters import write_geotiff
 
     raster = write_geotiff(tmp_path / "dem.tif", heights.astype(np.float32), ENGINEERING, 0.0, 0.0, cell_m)
@@ -24,11 +24,11 @@ def flat_world(tmp_path: Path, make_scene: Callable[..., Scene], heights: np.nda
 
 
 def round_the_middle(side: int, cell_m: float = CELL_M) -> tuple[np.ndarray, np.ndarray]:
-    """Metres east and north (side, side) of nodes from the middle one."""
+    """Return the nodes' distances east and north of the middle node, metres (side, side)."""
     away = (np.arange(side) - side // 2) * cell_m
     return np.meshgrid(away, -away)
 
 
 def at_middle(scene: Scene, height_m: float = 0.0) -> Surroundings:
-    """The middle of a flat world and what stands round it."""
+    """Return the middle of a flat world and its surroundings."""
     return load_surroundings(scene, place_at(scene, (0.0, 0.0), height_m=height_m))

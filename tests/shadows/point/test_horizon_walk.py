@@ -1,4 +1,4 @@
-"""Horizons by ground with closed forms: walls, cones, rings; the earth's curvature; true north; pages and details."""
+"""Horizon walk over ground with closed forms: walls, cones, rings; earth curvature, true north, pages and levels of detail."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def elevation_deg(scene, place, azimuth_deg=AZIMUTHS) -> np.ndarray:
     return np.degrees(np.arctan(relief_horizon(scene, place, azimuth_deg).tangent))
 
 
-def test_a_wall(tmp_path, make_scene):
+def test_horizon_of_a_wall(tmp_path, make_scene):
     east, _ = round_the_middle(81)
     scene = flat_world(tmp_path, make_scene, np.where(east == 200.0, 50.0, 0.0))
     place = at_middle(scene).place
@@ -35,21 +35,21 @@ def test_a_wall(tmp_path, make_scene):
     assert elevation_deg(scene, place, np.arange(180.0, 361.0)) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_horizon_sinks_with_the_eye(tmp_path, make_scene):
+def test_horizon_sinks_with_eye_height(tmp_path, make_scene):
     east, _ = round_the_middle(81)
     scene = flat_world(tmp_path, make_scene, np.where(east == 200.0, 50.0, 0.0))
     assert elevation_deg(scene, at_middle(scene, 20.0).place, np.array([90.0])) == pytest.approx(np.degrees(np.arctan(30 / 200)))
     assert elevation_deg(scene, at_middle(scene, 60.0).place, np.array([90.0])) == pytest.approx(np.degrees(np.arctan(-10 / 200)))
 
 
-def test_a_ring_round_the_point(tmp_path, make_scene):
+def test_horizon_inside_a_ring(tmp_path, make_scene):
     away = np.hypot(*round_the_middle(201))
     scene = flat_world(tmp_path, make_scene, 100.0 * np.clip((away - 600.0) / 100.0, 0.0, 1.0))
     assert elevation_deg(scene, at_middle(scene).place) == pytest.approx(np.degrees(np.arctan(100 / 700)), abs=0.1)
 
 
-def test_a_cone_beside_the_point(tmp_path, make_scene):
-    """The tangent to a cone from below its top: its apex, seen over its slope."""
+def test_horizon_of_a_cone(tmp_path, make_scene):
+    """From below its top, the horizon of a cone is the tangent to it. Towards the axis this is the apex."""
     east, north = round_the_middle(161)
     scene = flat_world(tmp_path, make_scene, np.maximum(100.0 - 0.5 * np.hypot(east, north - 400.0), 0.0))
     place = at_middle(scene).place
@@ -60,7 +60,7 @@ def test_a_cone_beside_the_point(tmp_path, make_scene):
     assert (elevation_deg(scene, place, np.array([aside - 3.0, 360.0 - aside + 3.0])) > 0.1).all()
 
 
-def test_on_a_slope_the_slope_is_the_horizon(tmp_path, make_scene):
+def test_horizon_on_a_slope_is_the_slope(tmp_path, make_scene):
     east, north = round_the_middle(41)
     scene = flat_world(tmp_path, make_scene, 0.3 * east + 0.1 * north)
     azimuth = np.radians(AZIMUTHS)
@@ -70,14 +70,14 @@ def test_on_a_slope_the_slope_is_the_horizon(tmp_path, make_scene):
     assert elevation_deg(scene, place) == pytest.approx(expected, abs=1e-4)
 
 
-def test_columns_have_upright_walls(tmp_path, make_scene):
+def test_horizon_of_columns_has_vertical_walls(tmp_path, make_scene):
     east, _ = round_the_middle(81)
     scene = flat_world(tmp_path, make_scene, np.where(east == 200.0, 50.0, 0.0), terrain={"surface": "blocks"})
     assert elevation_deg(scene, at_middle(scene).place, np.array([90.0])) == pytest.approx(np.degrees(np.arctan(50 / 195)))
 
 
-def test_a_hundred_kilometres_of_plain_bend_away(write_raster, make_scene):
-    """A wall of 1000 m, 90 km away: the earth hides R (1 / cos(d / R) - 1) of it, less what its lean away takes."""
+def test_horizon_follows_the_earth_curvature(write_raster, make_scene):
+    """The wall of 1000 m is 90 km away. The earth hides R (1 / cos(d / R) - 1) of it, less the part due to its lean."""
     heights = np.zeros((5, 500), np.float32)
     heights[:, -50:] = 1000.0
     scene = make_scene(write_raster(heights, "EPSG:32633", 400_000.0, 5_000_000.0, 200.0))
@@ -86,7 +86,7 @@ def test_a_hundred_kilometres_of_plain_bend_away(write_raster, make_scene):
     foot = (400_000.0 + 450.5 * 200.0, y)
     lon, lat = Proj("EPSG:32633")(*foot, inverse=True)
     azimuth, _, distance = WGS84.inv(place.lon_deg, place.lat_deg, lon, lat)
-    radius = 6_389_000.0  # of the ellipsoid towards the east, at 45 degrees north
+    radius = 6_389_000.0  # radius of the ellipsoid towards the east, at 45 degrees north
     rise = (radius + 1000.0) * np.cos(distance / radius) - radius
     expected = np.degrees(np.arctan(rise / ((radius + 1000.0) * np.sin(distance / radius))))
     found = elevation_deg(scene, place, np.array([azimuth]))[0]
@@ -94,8 +94,8 @@ def test_a_hundred_kilometres_of_plain_bend_away(write_raster, make_scene):
     assert found < np.degrees(np.arctan(1000.0 / distance)) - 0.35
 
 
-def test_north_is_true_north(write_raster, make_scene):
-    """At the rim of a wide zone grid north lies 4 degrees off: a peak is seen where the geodesic says."""
+def test_horizon_azimuth_counts_from_true_north(write_raster, make_scene):
+    """At the rim of a wide zone grid north is 4 degrees off. The peak appears in the direction of the geodesic."""
     heights = np.zeros((201, 201), np.float32)
     heights[20, 100] = 3000.0
     x0, y0, crs = 90_000.0, 7_000_000.0, CRS.from_epsg(32633)
@@ -112,8 +112,8 @@ def test_north_is_true_north(write_raster, make_scene):
     assert found.distance_m[best] == pytest.approx(distance, abs=2.0)
 
 
-def test_what_is_skipped_is_lower(tmp_path, make_scene, rng_heights):
-    """Every node of a rough ground, looked at one by one, is no higher than the horizon in its direction."""
+def test_horizon_is_no_lower_than_any_node(tmp_path, make_scene, rng_heights):
+    """The walk skips nodes. Every node of the rough ground is checked one by one against the horizon in its direction."""
     scene = flat_world(tmp_path, make_scene, rng_heights)
     place = at_middle(scene, 3.0).place
     east, north = round_the_middle(len(rng_heights))
@@ -123,7 +123,7 @@ def test_what_is_skipped_is_lower(tmp_path, make_scene, rng_heights):
     rise = (rng_heights[seen].astype(float) - place.eye_m) / away[seen]
     found = relief_horizon(scene, place, azimuth)
     assert (found.tangent >= rise - 1e-9).all()
-    assert (np.abs(found.tangent - rise) < 1e-9).sum() > 20  # and some of them make it
+    assert (np.abs(found.tangent - rise) < 1e-9).sum() > 20  # and some nodes reach it
     above = found.tangent + 1e-9
     assert not is_ground_occluded(scene, place, azimuth, above).any()
     assert is_ground_occluded(scene, place, azimuth, found.tangent - 1e-9).all()
@@ -137,7 +137,7 @@ def rng_heights() -> np.ndarray:
     return (fine + coarse).astype(np.float32)
 
 
-def test_far_ground_is_read_at_less_detail(tmp_path, make_scene, rng_heights, monkeypatch):
+def test_horizon_reads_far_ground_at_coarser_levels(tmp_path, make_scene, rng_heights, monkeypatch):
     scene = flat_world(tmp_path, make_scene, rng_heights)
     place = at_middle(scene, 55.0).place
     whole = elevation_deg(scene, place)
@@ -147,7 +147,7 @@ def test_far_ground_is_read_at_less_detail(tmp_path, make_scene, rng_heights, mo
     assert {0, 1, 2} <= set(relief_pages.paged_relief(scene).levels)
 
 
-def test_no_ground_has_no_horizon_and_holes_hide_nothing(tmp_path, make_scene):
+def test_horizon_ignores_holes_and_place_at_refuses_them(tmp_path, make_scene):
     heights = np.full((9, 9), np.nan)
     heights[3:6, 3:6] = 7.0
     scene = flat_world(tmp_path, make_scene, heights)
@@ -161,15 +161,15 @@ def test_no_ground_has_no_horizon_and_holes_hide_nothing(tmp_path, make_scene):
         place_at(scene, (0.0, 0.0), height_m=-1.0)
 
 
-def test_at_the_rim_nothing_lies_outwards(tmp_path, make_scene):
+def test_horizon_at_the_rim_has_no_ground_outwards(tmp_path, make_scene):
     scene = flat_world(tmp_path, make_scene, np.zeros((9, 9)))
     place = place_at(scene, (-40.0, 0.0))
     found = relief_horizon(scene, place, np.array([270.0, 90.0]))
     assert found.tangent[0] == NO_GROUND and found.tangent[1] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_across_the_antimeridian_and_at_a_pole(write_raster, make_scene):
-    """In degrees, a grid's columns run on at 180 degrees, and crowd at a pole: a ridge is seen where it is."""
+def test_horizon_across_the_antimeridian_and_at_a_pole(write_raster, make_scene):
+    """In degrees, a grid's columns continue at 180 degrees and crowd at a pole. A ridge keeps its place."""
     heights = np.zeros((101, 101), np.float32)
     heights[:, 60] = 500.0
     scene = make_scene(write_raster(heights, "EPSG:4326", 179.5, 60.5, 0.01))
@@ -183,8 +183,8 @@ def test_across_the_antimeridian_and_at_a_pole(write_raster, make_scene):
 
 
 @pytest.mark.parametrize("name", ["sierra_30m_albers.tif", "zion_srtm_4326.tif"])
-def test_horizons_of_real_mountains_are_those_of_rays(shared_data, make_scene, name):
-    """A little over the horizon Embree's rays meet nothing, a little under it something: far ridges, grids turned by 14 degrees."""
+def test_horizon_of_real_mountains_matches_rays(shared_data, make_scene, name):
+    """Embree's rays miss slightly above the horizon and hit slightly below it: far ridges, grids turned by 14 degrees."""
     scene = make_scene(shared_data / "mountain" / name)
     grid, elevation = relief_pages.paged_relief(scene).grid, scene.elevation
     x, y = (float(v) for v in elevation.xy(0.61 * elevation.rows, 0.47 * elevation.cols))
@@ -200,8 +200,8 @@ def test_horizons_of_real_mountains_are_those_of_rays(shared_data, make_scene, n
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_ridge_across_the_grid_is_whole(tmp_path, make_scene, sign):
-    """One node wide, along a diagonal: quads are cut along their higher one, and so no line of sight passes between its nodes."""
+def test_horizon_of_a_diagonal_ridge_has_no_gaps(tmp_path, make_scene, sign):
+    """The ridge is one node wide. Quads are cut along their higher diagonal, so that no line of sight passes between its nodes."""
     east, north = round_the_middle(81)
     scene = flat_world(tmp_path, make_scene, np.where(sign * east + north == 300.0, 50.0, 0.0))
     aside = np.arange(-20.0, 20.5, 0.7)

@@ -1,4 +1,4 @@
-"""Houses and trees round a point: angles with closed forms, who stands in the way, and the engine's own truth."""
+"""Houses and trees around a point: horizon angles in closed form, occluders, and agreement with ray-traced truth."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ def written(path, kind, coordinates, **properties):
 
 @pytest.fixture
 def village(tmp_path, make_scene):
-    """``village(heights, ...)``: ground with a house 12 m high, 20 to 30 m east of the middle, and a tree 30 m south of it."""
+    """Return ``village(heights, ...)``: ground with a house and a tree.
+
+    The house is 12 m high, 20 to 30 m east of the middle; the tree stands 30 m south of it.
+    """
 
     def make(heights=None, azimuth=90.0, altitude=20.0, tree_m=10.0):
         side = 64
@@ -54,11 +57,11 @@ def village(tmp_path, make_scene):
     return make
 
 
-def test_a_house_stands_as_high_as_its_eaves(village):
+def test_horizon_of_a_house_is_its_eaves(village):
     scene, middle = village()
     around = load_surroundings(scene, place_at(scene, middle))
     facing = np.arange(-20.0, 21.0)
-    east = 90.0 + facing - 0.0  # the zone's middle meridian: grid north is true north
+    east = 90.0 + facing - 0.0  # the zone's central meridian: grid north is true north
     horizon = horizon_profile(around, east)
     expected = np.degrees(np.arctan(12.0 * np.cos(np.radians(facing)) / 20.0))
     assert horizon.solids_deg == pytest.approx(expected, abs=0.02)
@@ -67,7 +70,7 @@ def test_a_house_stands_as_high_as_its_eaves(village):
     assert (horizon_profile(upstairs, east).solids_deg < 0.0).all()
 
 
-def test_the_sun_over_beside_and_behind_a_house(village):
+def test_sun_over_beside_and_behind_a_house(village):
     scene, middle = village()
     around = load_surroundings(scene, place_at(scene, middle))
     top = np.degrees(np.arctan(12.0 / 20.0))
@@ -81,15 +84,15 @@ def test_the_sun_over_beside_and_behind_a_house(village):
     assert hidden[1].lon_deg > middle[0] and hidden[1].lat_deg == pytest.approx(middle[1], abs=1e-5)
 
 
-def test_a_tree_is_its_leaves(village):
-    """The horizon is the highest leaf: just above it the sun shines, at it not. Rays through the crown meet what Embree's do."""
+def test_horizon_of_a_tree_is_its_highest_leaf(village):
+    """The sun is visible just above the highest leaf, and not at it. Rays through the crown agree with Embree's."""
     scene, middle = village()
     around = load_surroundings(scene, place_at(scene, middle))
     azimuth = np.linspace(176.5, 183.5, 141)
     horizon = horizon_profile(around, azimuth)
     crown = horizon.forest_deg > 0.0
     assert crown.sum() > 30 and horizon.forest_deg.max() == pytest.approx(np.degrees(np.arctan(10 / 30)), abs=0.7)
-    # A leaf's rim may rise over the horizon by less than a fourth of a texel.
+    # A leaf's rim may exceed the horizon by less than a quarter of a texel.
     assert (~sees_sun(around, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.02)).sum() <= 2
     assert sees_sun(around, azimuth, np.maximum(horizon.elevation_deg, 0.0) + 0.08).all()
     assert not sees_sun(around, azimuth[crown], horizon.elevation_deg[crown] - 1e-4).any()
@@ -105,8 +108,8 @@ def test_a_tree_is_its_leaves(village):
     assert (sees_sun(around, azimuth, altitude) == blocked).mean() < 0.002  # rounding at the rims of leaves
 
 
-def test_shade_is_the_engines_own(village):
-    """At nodes of a map the sun is seen, or not, as ray-traced truth has it: over hills, with a house and a tree."""
+def test_sees_sun_agrees_with_truth(village):
+    """The points are nodes of a map over hills, with a house and a tree. Ray-traced truth gives the expected values."""
     rows, cols = np.mgrid[0:64, 0:64]
     hills = (8.0 * np.sin(rows / 5.0) * np.cos(cols / 7.0)).astype(np.float32)
     scene, _ = village(hills, tree_m=14.0)
@@ -128,7 +131,7 @@ def test_shade_is_the_engines_own(village):
     assert dark > 60
 
 
-def test_round_a_roofed_place_there_is_no_sun(village):
+def test_sees_sun_is_false_under_a_roof(village):
     scene, middle = village()
     inside = place_at(scene, (middle[0] + 25.0 / 74_000.0, middle[1]))
     around = load_surroundings(scene, inside)
@@ -136,15 +139,15 @@ def test_round_a_roofed_place_there_is_no_sun(village):
     assert (horizon_profile(around, np.arange(0.0, 360.0, 15.0)).solids_deg > 80.0).all()
 
 
-def test_meshes_of_a_made_ground_are_no_buildings(make_scene, tmp_path):
+def test_generated_meshes_are_no_buildings(make_scene, tmp_path):
     write_geotiff(tmp_path / "floor.tif", np.zeros((21, 21), np.float32), ENGINEERING, 0.0, 0.0, 10.0)
     scene = make_scene(tmp_path / "floor.tif", meshes=[{"generate": "boxgrid"}])
     around = load_surroundings(scene, place_at(scene, (0.0, 0.0)))
     assert len(around.triangles) and not around.is_building.any()
 
 
-def test_on_columns_shade_is_the_engines_own(tmp_path, make_scene):
-    """At the middles of cells with flat tops and upright walls, as ray-traced truth has them."""
+def test_sees_sun_on_columns_agrees_with_truth(tmp_path, make_scene):
+    """The points are the middles of cells with flat tops and vertical walls. Ray-traced truth gives the expected values."""
     heights = np.zeros((64, 64), np.float32)
     rng = np.random.default_rng(2)
     for row, col in rng.integers(4, 56, (25, 2)):

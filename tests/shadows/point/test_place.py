@@ -1,4 +1,4 @@
-"""Where a point is on a level's ground: also on the raster's very borders, and not in its holes."""
+"""Place of a point on a level's ground: valid up to the raster's borders, and not in its holes."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ def scene(write_raster, make_scene):
 
 @pytest.mark.parametrize("east_m", [-100.0, -96.0, 0.0, 96.0, 100.0])
 @pytest.mark.parametrize("north_m", [-100.0, -96.0, 96.0, 100.0])
-def test_the_outermost_cells_have_ground_up_to_their_borders(scene, east_m, north_m):
+def test_place_at_accepts_the_raster_border(scene, east_m, north_m):
     assert place_at(scene, (east_m, north_m)).ground_m == 7.0
 
 
 @pytest.mark.parametrize("at", [(-100.1, 0.0), (0.0, 100.1), (100.1, -100.1)])
-def test_there_is_no_ground_beyond_them(scene, at):
+def test_place_at_refuses_points_beyond_the_border(scene, at):
     with pytest.raises(InputError, match="a place on the level's data"):
         place_at(scene, at)
 
 
-def test_a_hole_is_no_ground_though_it_is_filled_for_casting(scene):
+def test_place_at_refuses_a_hole(scene):
     with pytest.raises(InputError, match="a place on the level's data"):
         place_at(scene, (5.0, -5.0))

@@ -1,4 +1,4 @@
-"""Days and years: against the sun's own path over level ground, and rays every ten seconds behind ridges; polar days and nights."""
+"""Sun hours of days and years at a point: level ground, ridges against rays every ten seconds, polar days and nights."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DAY = date(2024, 10, 21)
 
 @pytest.fixture
 def at(write_raster, make_scene):
-    """``at(heights, north)``: the middle of ground of 50 m cells in UTM zone 33, so far north."""
+    """Return ``at(heights, north)``: the middle of ground of 50 m cells in UTM zone 33, at a northing."""
 
     def place(heights: np.ndarray, north: float = 5_300_000.0, height_m: float = 0.0):
         side = len(heights)
@@ -40,7 +40,7 @@ def ridges(seed: int = 1) -> np.ndarray:
     return np.clip(away - 20, 0, None) * 9.0 * (1 + 0.3 * np.sin(cols / 3.0) * np.cos(rows / 4.0)) + rng.random((121, 121))
 
 
-def test_over_level_ground_the_day_is_the_suns(at):
+def test_sun_day_over_level_ground_is_the_astronomical_day(at):
     around = at(np.zeros((21, 21)))
     day = sun_day(around, DAY, UTC)
     place = around.place
@@ -55,7 +55,7 @@ def test_over_level_ground_the_day_is_the_suns(at):
     assert day.remark is None and len(day.sunlit) == 1 and day.sunlit[0].after is None
 
 
-def test_first_and_last_sun_as_rays_every_ten_seconds_have_them(at):
+def test_sun_day_behind_ridges_matches_rays_every_ten_seconds(at):
     around = at(ridges())
     day = sun_day(around, DAY, UTC)
     begin = day_bounds(DAY, UTC)[0].timestamp()
@@ -72,7 +72,7 @@ def test_first_and_last_sun_as_rays_every_ten_seconds_have_them(at):
     assert sampled_sun_hours(around, DAY, UTC) == pytest.approx(day.direct_h, abs=0.1)
 
 
-def test_a_year_has_the_hours_of_its_days(at):
+def test_sun_year_agrees_with_its_days(at):
     around = at(ridges())
     year = sun_year(around, 2024, UTC)
     assert len(year.days) == 366 and (year.direct_h <= year.daylight_h).all()
@@ -82,7 +82,7 @@ def test_a_year_has_the_hours_of_its_days(at):
         assert year.daylight_h[number] == pytest.approx(day.daylight_h, abs=0.1)
 
 
-def test_polar_day_and_night(at):
+def test_sun_day_of_polar_day_and_night(at):
     around = at(np.zeros((21, 21)), north=8_700_000.0)
     night = sun_day(around, date(2024, 12, 21), UTC)
     assert night.sunrise is night.sunset is night.first_sun is None and night.daylight_h == night.direct_h == 0.0
@@ -92,7 +92,7 @@ def test_polar_day_and_night(at):
     assert always.remark == "polar day: the sun does not set"
 
 
-def test_a_pit_has_no_sun(at):
+def test_sun_day_in_a_pit_has_no_sun(at):
     heights = np.full((41, 41), 5000.0)
     heights[20, 20] = 0.0
     day = sun_day(at(heights), date(2024, 12, 21), UTC)
@@ -100,10 +100,10 @@ def test_a_pit_has_no_sun(at):
     assert day.remark == "the sun rises, but terrain or objects hide it all day"
 
 
-def test_clocks():
+def test_clock_of_offsets_zones_and_invalid_names():
     assert clock_of("utc", None, DAY) is UTC
     assert clock_of("+05:30", None, DAY).utcoffset(None) == timedelta(hours=5, minutes=30)
-    assert clock_of(" 02:00", None, DAY).utcoffset(None) == timedelta(hours=2)  # a plus that arrived as a space
+    assert clock_of(" 02:00", None, DAY).utcoffset(None) == timedelta(hours=2)  # a plus sign that URL decoding turned into a space
     assert clock_of("-03:30", None, DAY).utcoffset(None) == -timedelta(hours=3, minutes=30)
     oslo = clock_of("Europe/Oslo", None, DAY)
     assert datetime(2024, 7, 1, tzinfo=oslo).utcoffset() == timedelta(hours=2)
@@ -114,8 +114,8 @@ def test_clocks():
             clock_of(name, None, DAY)
 
 
-def test_a_day_that_a_calendar_leaves_out_is_refused(at):
-    """Samoa went over 30 December 2011; its sun is up for 13 hours on the days before and after."""
+def test_sun_day_refuses_a_date_missing_from_the_calendar(at):
+    """Samoa skipped 30 December 2011. The sun is up for 13 hours on the days before and after."""
     around, apia = at(np.zeros((41, 41))), clock_of("Pacific/Apia", None, DAY)
     with pytest.raises(InputError, match="date: '2011-12-30' is not allowed. Allowed: a day in the calendar of Pacific/Apia"):
         sun_day(around, date(2011, 12, 30), apia)
@@ -127,13 +127,13 @@ def test_a_day_that_a_calendar_leaves_out_is_refused(at):
     assert year.daylight_h[-1] == pytest.approx(sun_day(around, date(2011, 12, 31), apia).daylight_h, abs=0.1)
 
 
-def test_at_noon_of_the_solar_clock_the_sun_is_in_the_south():
+def test_solar_clock_noon_has_the_sun_in_the_south():
     clock = solar_clock(13.4, DAY)
     azimuth, _, _ = apparent_position(datetime(2024, 10, 21, 12, tzinfo=clock), 13.4, 52.5)
     assert azimuth == pytest.approx(180.0, abs=0.1)
 
 
-def test_a_flat_world_has_no_days(tmp_path, make_scene):
+def test_sun_day_refuses_a_flat_world(tmp_path, make_scene):
     from tests.shadows.point.ground import at_middle, flat_world
 
     around = at_middle(flat_world(tmp_path, make_scene, np.zeros((9, 9))))

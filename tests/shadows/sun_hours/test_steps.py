@@ -1,4 +1,4 @@
-"""How often the sun has to be looked for: what steps miss by hand counts, and made ground of which it is known."""
+"""Sampling step of sun hours: minutes that a step misses, counted by hand, and grounds with a known step."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def series(text: str) -> np.ndarray:
 @pytest.mark.parametrize(
     ("minutes", "step", "missed"),
     [
-        ("####.####.#", 5, 2.0),  # both breaks lie between looks
-        ("....#.....#", 5, 1.0),  # a glance of a minute
+        ("####.####.#", 5, 2.0),  # both breaks lie between samples
+        ("....#.....#", 5, 1.0),  # a minute of sun between samples
         ("...........", 5, 0.0),
-        ("##.........", 5, 0.0),  # one crossing: found
-        ("..#.######.", 5, 1.0),  # dark, then lit: the first crossing is found, and the minute of dark after it is not
-        ("####.####.#", 1, 0.0),  # each minute is looked at
+        ("##.........", 5, 0.0),  # one crossing, which is found
+        ("..#.######.", 5, 1.0),  # dark, then lit: the first crossing is found, and the dark minute after it is missed
+        ("####.####.#", 1, 0.0),  # each minute is sampled
     ],
 )
-def test_what_steps_miss_is_counted_by_hand(minutes, step, missed):
+def test_missed_minutes_by_hand(minutes, step, missed):
     assert missed_minutes(series(minutes), step) == pytest.approx([missed])
 
 
-def test_what_is_missed_and_what_is_too_much_make_up_for_each_other():
+def test_missed_minutes_cancel_opposite_errors():
     assert missed_minutes(series("##.##..#..#"), 5) == pytest.approx([0.0])
     assert missed_minutes(np.concatenate([series("##.########"), series("...........")]), 5) == pytest.approx([1.0, 0.0])
 
@@ -68,19 +68,19 @@ def dome() -> np.ndarray:
 
 
 def poles() -> np.ndarray:
-    """A pole of a cell on every tenth cell or so, as high as ten are apart: gaps that the sun passes in minutes."""
+    """Return a field of 500 poles of one cell, 15 m high. The sun passes the gaps between them in minutes."""
     heights = np.zeros((121, 121))
     rng = np.random.default_rng(3)
     heights[rng.integers(0, 121, 500), rng.integers(0, 121, 500)] = 15.0
     return heights
 
 
-def test_smooth_ground_bears_long_steps_and_a_field_of_poles_does_not(opened):
+def test_sampling_step_is_long_over_smooth_ground_only(opened):
     assert asked_of(opened(dome(), 30.0)) == LONG_STEP_MIN
     assert asked_of(opened(poles(), 1.0)) == SHORT_STEP_MIN
 
 
-def test_hours_without_a_step_are_those_of_the_step_that_the_ground_asks_for(opened):
+def test_sun_hours_without_a_step_use_the_sampling_step(opened):
     scene = opened(dome(), 30.0)
     view = raster_view(scene).view.as_nodes()
     days = window_suns(scene.world, [window_of(scene, SPRING)])

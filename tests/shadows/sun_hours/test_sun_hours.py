@@ -1,4 +1,4 @@
-"""Hours of sun against closed forms: walls, bowls, slopes, polar days; and against rays on a small fractal."""
+"""Sun hours: closed forms for walls, bowls, slopes and polar days, and rays over a small fractal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.rasters import ENGINEERING, write_geotiff
 
 CELL_M = 10.0
 SPRING, SUMMER, WINTER = date(2024, 3, 21), date(2024, 6, 21), date(2024, 12, 21)
-EAST, NORTH = 720e3, 5200e3  # 2.9 degrees east of the zone's meridian: grid north is 2.1 degrees off
+EAST, NORTH = 720e3, 5200e3  # 2.9 degrees east of the zone's meridian, where grid north is 2.1 degrees off
 
 Opened = Callable[..., Scene]
 
@@ -63,7 +63,7 @@ def found(scene: Scene, *windows: DailyWindow, **rules: float) -> SunHours:
 
 
 def grid_north_deg(scene: Scene) -> float:
-    """How far grid north lies clockwise from true north at a scene's middle: from a kilometre to the north."""
+    """Return the clockwise angle from true north to grid north at a scene's middle, from a point a kilometre to the north."""
     lon, lat = scene.world.anchor_lon_deg, scene.world.anchor_lat_deg
     north_lon, north_lat, _ = Geod(ellps="WGS84").fwd(lon, lat, 0.0, 1000.0)
     to_map = Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True).transform
@@ -72,7 +72,7 @@ def grid_north_deg(scene: Scene) -> float:
 
 
 def sun_by_minute(scene: Scene, day: date) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Minutes of a day in UTC, a tenth apart, and the sun's azimuths and altitudes, degrees."""
+    """Return the minutes of a day in UTC in steps of a tenth, and the sun's azimuths and altitudes, degrees."""
     minutes = np.arange(0.0, 1440.0, 0.1)
     start = datetime(day.year, day.month, day.day, tzinfo=UTC)
     path = sun_path([start + timedelta(minutes=float(m)) for m in minutes], scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
@@ -81,15 +81,15 @@ def sun_by_minute(scene: Scene, day: date) -> tuple[np.ndarray, np.ndarray, np.n
 
 @pytest.mark.parametrize("day", [SPRING, WINTER], ids=str)
 @pytest.mark.parametrize("step", [5.0, 2.0])
-def test_behind_a_wall_the_sun_comes_and_goes_when_it_clears_it(opened, day, step):
+def test_sun_hours_behind_a_wall(opened, day, step):
     heights = np.zeros((301, 121))
-    heights[:, 60] = 80.0  # along grid north
+    heights[:, 60] = 80.0  # the wall runs along grid north
     scene = opened(heights)
     answer = found(scene, window_of(scene, day), step_min=step)
     minutes, azimuth, altitude = sun_by_minute(scene, day)
     turned = grid_north_deg(scene)
     assert abs(turned) > 2.0
-    across = np.sin(np.radians(azimuth - turned))  # of a metre towards the sun, how much leads across the wall
+    across = np.sin(np.radians(azimuth - turned))  # component across the wall of a metre towards the sun
     for cells in (6, 20, 45):
         clears = (altitude > 0.0) & (np.tan(np.radians(altitude)) * cells * CELL_M > 80.0 * np.abs(across))
         morning, evening = across > 0.0, across < 0.0
@@ -103,10 +103,10 @@ def test_behind_a_wall_the_sun_comes_and_goes_when_it_clears_it(opened, day, ste
 
 
 @pytest.mark.parametrize("step", [20.0, 5.0])
-def test_pits_that_no_sun_reaches_have_none_at_dusk_either(opened, step):
-    """On a wide raster the sun sets in the east while it is up in the west; over America a window of UTC begins then."""
+def test_sun_hours_of_deep_pits_are_zero_at_dusk_too(opened, step):
+    """On a wide raster the sun sets in the east while it is up in the west. Over America a UTC window begins at that time."""
     heights = np.zeros((41, 41))
-    heights[5:36:5, 5:36:5] = -9000.0  # of one cell, 3 km wide: their horizon is 72 degrees high
+    heights[5:36:5, 5:36:5] = -9000.0  # pits of one cell, 3 km wide, with a horizon 72 degrees high
     scene = opened(heights, "EPSG:32611", 500e3, 3800e3, 3000.0)
     answer = found(scene, window_of(scene, WINTER), step_min=step)
     pits = heights < 0.0
@@ -114,7 +114,7 @@ def test_pits_that_no_sun_reaches_have_none_at_dusk_either(opened, step):
     assert (answer.hours[0] > 9.0).all()
 
 
-def test_in_a_bowl_the_sun_is_seen_above_its_slope_alone(opened):
+def test_sun_hours_in_a_bowl(opened):
     row, col = np.mgrid[-100:101, -100:101]
     far = np.hypot(row, col)
     scene = opened(np.where(far < 30.0, 0.0, far * CELL_M * np.tan(np.radians(25.0))))
@@ -125,9 +125,9 @@ def test_in_a_bowl_the_sun_is_seen_above_its_slope_alone(opened):
     assert answer.first[100, 100] == pytest.approx(over[0], abs=0.5)
 
 
-def test_a_slope_has_sun_while_the_sun_stands_before_it(opened):
+def test_sun_hours_of_a_slope_count_the_sun_before_it(opened):
     tilt_deg = 30.0
-    rows = np.arange(80)[:, None] * CELL_M * np.tan(np.radians(tilt_deg)) * np.ones((1, 60))  # falls away to grid north
+    rows = np.arange(80)[:, None] * CELL_M * np.tan(np.radians(tilt_deg)) * np.ones((1, 60))  # falls towards grid north
     scene = opened(rows)
     answer = found(scene, window_of(scene, SPRING), step_min=5.0)
     minutes, azimuth, altitude = sun_by_minute(scene, SPRING)
@@ -142,7 +142,7 @@ def test_a_slope_has_sun_while_the_sun_stands_before_it(opened):
     assert winter.hours[40, 30] == 0.0 and np.isnan(winter.first[40, 30]) and np.isnan(winter.last[40, 30])
 
 
-def test_in_polar_day_there_are_24_hours_and_in_polar_night_none(opened):
+def test_sun_hours_of_polar_day_and_night(opened):
     scene = opened(np.full((40, 40), 100.0), "EPSG:32633", 500e3, 8_900e3)
     day = found(scene, window_of(scene, SUMMER), step_min=15.0)
     assert (day.hours == 24.0).all() and (day.longest == 24.0).all() and (day.days == 1.0).all()
@@ -151,14 +151,14 @@ def test_in_polar_day_there_are_24_hours_and_in_polar_night_none(opened):
     assert (night.hours == 0.0).all() and (night.days == 0.0).all() and np.isnan(night.first).all()
 
 
-def test_a_window_a_floor_and_a_height_take_and_give_what_they_say(opened):
+def test_sun_hours_with_window_least_altitude_and_height(opened):
     heights = np.zeros((121, 121))
     heights[:, 60] = 80.0
     scene = opened(heights)
     minutes, azimuth, altitude = sun_by_minute(scene, SPRING)
     noon = window_of(scene, SPRING, UTC, 600.0, 720.0)
     within = found(scene, noon)
-    assert within.hours[60, 110] == pytest.approx(2.0, abs=1e-4)  # clear of the wall all the while
+    assert within.hours[60, 110] == pytest.approx(2.0, abs=1e-4)  # clear of the wall throughout
     assert (within.first[60, 110], within.last[60, 110]) == (600.0, 720.0)
     floor = found(scene, window_of(scene, SPRING), least_altitude_deg=20.0)
     high = minutes[altitude > 20.0]
@@ -171,7 +171,7 @@ def test_a_window_a_floor_and_a_height_take_and_give_what_they_say(opened):
     assert raised.first[60, 40] == pytest.approx(minutes[clears][0], abs=0.5)
 
 
-def test_over_dates_hours_are_means_and_days_are_counted(opened):
+def test_sun_hours_over_dates_average_hours_and_count_days(opened):
     heights = np.zeros((61, 61))
     heights[:, 30] = 60.0
     scene = opened(heights)
@@ -185,18 +185,18 @@ def test_over_dates_hours_are_means_and_days_are_counted(opened):
     np.testing.assert_array_equal(all_of_them.longest, np.max([one.longest for one in each], axis=0))
 
 
-def test_clocks_tell_first_and_last_sun_and_days_of_23_hours_have_their_sun(opened):
+def test_sun_hours_follow_the_clock_and_23_hour_days(opened):
     scene = opened(np.zeros((21, 21)))
     before, after = (found(scene, window_of(scene, date(2024, 3, day), ZoneInfo("Europe/Oslo")), step_min=30.0) for day in (30, 31))
     assert after.first[10, 10] - before.first[10, 10] == pytest.approx(
         58.0, abs=1.0
-    )  # an hour later by the clock, less a day's gain
+    )  # an hour later by the clock, less a day's change of sunrise
     assert after.hours[10, 10] == pytest.approx(before.hours[10, 10] + 3.4 / 60.0, abs=0.02)
     by_sun = found(scene, window_of(scene, date(2024, 11, 3), SOLAR), step_min=30.0)
-    assert by_sun.first[10, 10] + by_sun.last[10, 10] == pytest.approx(1440.0, abs=1.0)  # as long before noon as after
+    assert by_sun.first[10, 10] + by_sun.last[10, 10] == pytest.approx(1440.0, abs=1.0)  # noon is midway between first and last sun
 
 
-def test_across_a_wide_raster_the_sun_rises_and_sets_cell_by_cell(opened):
+def test_sun_hours_of_a_wide_raster_have_local_sunrise(opened):
     scene = opened(np.zeros((20, 70)), cell=2000.0)
     answer = found(scene, window_of(scene, SPRING), step_min=15.0)
     start, minutes = datetime(2024, 3, 21, tzinfo=UTC), np.arange(0.0, 1440.0, 0.25)
@@ -204,12 +204,12 @@ def test_across_a_wide_raster_the_sun_rises_and_sets_cell_by_cell(opened):
     for col in (2, 35, 67):
         lon, lat = to_degrees(EAST + (col + 0.5) * 2000.0, NORTH - 10.5 * 2000.0)
         up = minutes[sun_path([start + timedelta(minutes=float(m)) for m in minutes], lon, lat).altitude_deg > 0.0]
-        assert answer.first[10, col] == pytest.approx(up[0], abs=2.0)  # a sun lifted by refraction at the middle alone
+        assert answer.first[10, col] == pytest.approx(up[0], abs=2.0)  # refraction lifts the sun at the middle only
         assert answer.last[10, col] == pytest.approx(up[-1], abs=3.5)
     assert answer.first[10, 2] - answer.first[10, 67] > 6.0  # 1.7 degrees of longitude
 
 
-def test_holes_stay_holes(opened):
+def test_sun_hours_keep_nodata(opened):
     heights = np.zeros((40, 50))
     heights[10:20, 30:35] = np.nan
     scene = opened(heights)
@@ -218,7 +218,7 @@ def test_holes_stay_holes(opened):
         np.testing.assert_array_equal(np.isnan(values), np.isnan(heights))
 
 
-def test_it_is_what_rays_say_of_fractal_mountains(opened):
+def test_sun_hours_match_rays_over_fractal_mountains(opened):
     scene = opened(mountains(128), cell=30.0)
     view, window = cells_of(scene), window_of(scene, SPRING)
     row, col = (np.random.default_rng(2).integers(3, 125, 300) for _ in range(2))
@@ -228,18 +228,18 @@ def test_it_is_what_rays_say_of_fractal_mountains(opened):
     wrong = 60.0 * np.abs(answer.hours[row, col] - hours)
     assert wrong.mean() < 0.5 and np.percentile(wrong, 99) < 3.0
     for mine, its in ((answer.first, first), (answer.last, last)):
-        assert np.nanpercentile(np.abs(mine[row, col] - its), 90) < 1.0  # a glance of sun that one of both misses moves it by hours
+        assert np.nanpercentile(np.abs(mine[row, col] - its), 90) < 1.0  # a missed glance of sun shifts it by hours
 
 
-def test_crossings_between_steps_are_found_not_counted(opened):
+def test_sun_hours_locate_crossings_between_steps(opened):
     scene = opened(mountains(128), cell=30.0)
     noon = window_of(scene, SPRING, UTC, 600.0, 800.0)
     fine, coarse = (found(scene, noon, step_min=step).hours for step in (1.0, 5.0))
     wrong = 60.0 * np.abs(coarse - fine)[3:-3, 3:-3]
-    assert (wrong > 0.0).mean() > 0.1 and wrong[wrong > 0.0].mean() < 0.7  # counted frames: 1.25 for each crossing
+    assert (wrong > 0.0).mean() > 0.1 and wrong[wrong > 0.0].mean() < 0.7  # counting whole frames would give 1.25 for each crossing
 
 
-def test_sunrise_and_sunset_are_moments_to_look_for(opened):
+def test_sun_spans_sample_sunrise_and_sunset(opened):
     scene = opened(np.zeros((10, 10)))
     (day,) = window_suns(scene.world, [window_of(scene, SPRING)])
     (spell,) = sun_spans(day, cells_of(scene), scene.world, 0.0, 15.0)
@@ -250,7 +250,7 @@ def test_sunrise_and_sunset_are_moments_to_look_for(opened):
     assert not sun_spans(day, cells_of(scene), scene.world, 80.0, 15.0)
 
 
-def test_a_flat_world_has_no_dates(opened):
+def test_window_suns_refuse_a_flat_world(opened):
     scene = opened(np.zeros((10, 10)), ENGINEERING, 0.0, 0.0)
     with pytest.raises(Exception, match="date: '2024-03-21' is not supported here: an engineering CRS"):
         window_suns(scene.world, [window_of(scene, SPRING)])

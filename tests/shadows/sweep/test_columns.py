@@ -1,4 +1,4 @@
-"""The sweep over columns, where the earth bends and ground beyond the view casts: what rays find."""
+"""Sweep over columns, on a curved earth with ground beyond the view: agreement with rays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.terrain.ground.test_columns import UTM, scene_of
 
 
 def city(cells: int, cell_m: float) -> np.ndarray:
-    """Boxes on rolling ground, heights (cells, cells)."""
+    """Return boxes on rolling ground, heights (cells, cells)."""
     rng = np.random.default_rng(3)
     row, col = np.indices((cells, cells))
     heights = 4.0 * cell_m * np.sin(row / 31.0) * np.cos(col / 23.0)
@@ -38,10 +38,8 @@ def swept(buffer: Any, scene: Any, log: PassLog | None = None, kinds: Any = ("re
 @pytest.mark.parametrize(("azimuth", "altitude"), [(113.0, 30.0), (341.0, 9.0), (19.0, 3.0)])
 @pytest.mark.parametrize("crs", [None, "EPSG:3857"])
 @pytest.mark.parametrize("cell", [1.0, (30.0, 25.0)])
-def test_a_part_of_a_city_on_the_globe_is_as_rays_find_it(
-    tmp_path: Path, cell: Any, crs: str | None, azimuth: float, altitude: float
-):
-    """The view is a quarter of the raster; what stands in the others casts into it, and is read in patches."""
+def test_sweep_of_a_city_on_the_globe_matches_rays(tmp_path: Path, cell: Any, crs: str | None, azimuth: float, altitude: float):
+    """The view is a quarter of the raster. Boxes in the other quarters cast into it, and are read in patches."""
     scene = scene_of(tmp_path, city(256, np.mean(cell)), UTM, cell, 420000.0, 6400000.0)
     scene = scene.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
     west, south, east, north = scene.view(crs=crs, size=(128, 128)).bounds
@@ -54,14 +52,14 @@ def test_a_part_of_a_city_on_the_globe_is_as_rays_find_it(
     lit = swept(buffer, scene, log) > 0.5
     ((shadow_m,),) = log.take().values()
     above_m = shadow_m - buffer.height_m
-    certain = (above_m == 0.0) | (above_m > rays.offset_m)  # else what rays start higher is enough
+    certain = (above_m == 0.0) | (above_m > rays.offset_m)  # where rays do not start above the shadow
     assert certain.mean() > 0.999 and 0.02 < lit.mean() < 0.98
     np.testing.assert_array_equal(lit, above_m == 0.0)
     assert not (lit != lit_mask(buffer, scene, "sun", rays, 0.25))[certain].any()
 
 
 @pytest.mark.parametrize(("crs", "west"), [(ENGINEERING, 0.0), (UTM, 420000.0)])
-def test_what_stands_far_away_is_read_at_half_the_detail_and_shades_all_the_same(tmp_path: Path, crs: str, west: float):
+def test_sweep_of_columns_reads_far_ground_at_half_detail(tmp_path: Path, crs: str, west: float):
     heights = np.zeros((120, 6400))
     heights[40:80, 6000:6064] = 400.0
     scene = scene_of(tmp_path, heights, crs, 1.0, west, 6400120.0).with_sun(SunSpec(azimuth=89.5, altitude=2.2))
@@ -74,7 +72,7 @@ def test_what_stands_far_away_is_read_at_half_the_detail_and_shades_all_the_same
     np.testing.assert_array_equal(lit, lit_mask(buffer, scene, "sun", rays, 0.25))
 
 
-def test_roofs_of_meshes_are_seen_to_beside_the_columns(tmp_path: Path):
+def test_sweep_shades_roofs_of_meshes_beside_columns(tmp_path: Path):
     heights = np.zeros((60, 60))
     heights[30:34, 10:50] = 20.0
     scene = scene_of(tmp_path, heights, ENGINEERING, 1.0, meshes=[{"generate": "boxgrid", "at": [0.0, 12.0], "scale": 0.1}])
@@ -89,7 +87,7 @@ def test_roofs_of_meshes_are_seen_to_beside_the_columns(tmp_path: Path):
     assert (lit != expected)[facing & solid].mean() < 0.01
 
 
-def test_the_disc_and_the_height_of_the_shadow(tmp_path: Path):
+def test_sweep_of_columns_disc_and_shadow_height(tmp_path: Path):
     heights = np.zeros((64, 64))
     heights[:, 20:24] = 30.6
     scene = scene_of(tmp_path, heights, ENGINEERING, 1.0).with_sun(SunSpec(azimuth=270.0, altitude=45.0))

@@ -1,4 +1,4 @@
-"""The line sweep over plain arrays: known geometry, every azimuth alike, windows without seams."""
+"""Line sweep over plain arrays: known geometry, all azimuths, and windows without seams."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ OFF_AXIS = [7.0, 38.0, 67.0, 113.0, 158.0, 202.0, 251.0, 293.0, 338.0]
 
 
 def mountains(side: int, seed: int = 1, roughness: float = 2.0) -> np.ndarray:
-    """Fractal heights (side, side), 0 to 40 cells of 10 m."""
+    """Return fractal heights (side, side), 0 to 40 cells of 10 m."""
     rng = np.random.default_rng(seed)
     frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side))
     frequency[0, 0] = 1.0
@@ -57,8 +57,9 @@ def _nodes(height_m: np.ndarray, down_m: float, right_m: float, first: int = 0) 
 def by_rays(
     height_m: np.ndarray, cell_m: float, azimuth_deg: float, altitude_deg: float, falls: np.ndarray | None = None, beyond: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which nodes see the sun, and where that does not hang on the rays' offset; over cuts, or along the higher diagonals, when the
-    outermost heights go on for some cells ``beyond``.
+    """Return which nodes see the sun, and where the result is independent of the rays' offset.
+
+    Rays run over cuts, or along the higher diagonals; then the outermost heights continue for some cells ``beyond``.
     """
     rows, cols = height_m.shape
     nodes = _nodes(height_m, cell_m, cell_m)
@@ -73,7 +74,7 @@ def by_rays(
 
 
 @pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0])
-def test_mountains_at_every_azimuth_are_as_rays_see_them(azimuth):
+def test_sunlit_matches_rays_at_every_azimuth(azimuth):
     heights = mountains(200)
     for altitude in (4.0, 15.0):
         lit, sure = by_rays(heights, 10.0, azimuth, altitude)
@@ -84,9 +85,11 @@ def test_mountains_at_every_azimuth_are_as_rays_see_them(azimuth):
 
 @pytest.mark.parametrize("slant", [-30.0, -0.001, 0.0, 0.001, 10.0])
 @pytest.mark.parametrize("azimuth", [0.0, 90.0, 180.0, 270.0])
-def test_a_wall_across_the_grid_shades_its_outermost_lines_too(azimuth, slant):
-    """A wall of four cells from side to side under a sun at 45 degrees, however slightly the rays leave the grid: nodes nearer than
-    four cells to it, that is three (of its last node the shadow may be narrower under slanting rays).
+def test_sunlit_shades_the_outermost_lines_of_a_wall(azimuth, slant):
+    """A wall of four cells spans the grid under a sun at 45 degrees, and rays may leave the grid at any small angle.
+
+    Shaded are the nodes nearer than four cells, that is three. Under slanting rays the shadow of the wall's last node may be
+    narrower.
     """
     heights = np.zeros((40, 40), np.float32)
     heights[20] = 40.0
@@ -97,8 +100,8 @@ def test_a_wall_across_the_grid_shades_its_outermost_lines_too(azimuth, slant):
     assert shaded[[0, -1]].min() >= (3 if abs(slant) < 1.0 else 1)
 
 
-def test_more_lines_leave_fewer_errors():
-    """The error is that of interpolation between the lines: it falls as they come nearer."""
+def test_sunlit_is_more_accurate_with_more_lines():
+    """The error is that of interpolation between lines, which falls with their spacing."""
     heights = mountains(256, seed=4, roughness=1.8)
     wrong = {1: 0, 4: 0}
     for azimuth in OFF_AXIS[:4]:
@@ -111,8 +114,8 @@ def test_more_lines_leave_fewer_errors():
 
 @pytest.mark.long
 @given(azimuth=st.floats(0, 360), altitude=st.floats(10, 60), height=st.floats(100, 200))
-def test_a_cone_throws_the_shadow_that_it_must(azimuth, altitude, height):
-    """On a floor: the convex hull of its foot and of its tip's shadow, height / tan(altitude) away from the sun."""
+def test_sunlit_shadow_of_a_cone_is_a_convex_hull(azimuth, altitude, height):
+    """On a floor, the shadow is the hull of the cone's foot and its tip's shadow, height / tan(altitude) away from the sun."""
     cell, radius = 10.0, 60.0
     east, north = np.meshgrid((np.arange(221) - 110) * cell, (110 - np.arange(221)) * cell)
     heights = height * np.maximum(0.0, 1.0 - np.hypot(east, north) / radius).astype(np.float32)
@@ -127,13 +130,13 @@ def test_a_cone_throws_the_shadow_that_it_must(azimuth, altitude, height):
 
 
 @pytest.mark.parametrize("azimuth", [202.0, 113.0])
-def test_turning_ground_and_sun_by_half_a_circle_turns_the_shadows(azimuth):
+def test_sunlit_is_invariant_under_half_a_turn(azimuth):
     heights = mountains(150, seed=7)
     turned = sunlit(np.ascontiguousarray(heights[::-1, ::-1]), 10.0, azimuth + 180.0, 12.0)
     assert (turned[::-1, ::-1] != sunlit(heights, 10.0, azimuth, 12.0)).mean() < 1e-3
 
 
-def test_cells_that_are_no_squares():
+def test_sunlit_of_rectangular_cells_matches_rays():
     heights = mountains(160, seed=2)
     rays = RayScene([sheet_of(_nodes(np.pad(heights, 1, mode="edge"), 13.0, 7.0, first=-1))])
     nodes = _nodes(heights, 13.0, 7.0).reshape(-1, 3)
@@ -142,7 +145,7 @@ def test_cells_that_are_no_squares():
 
 
 @pytest.mark.parametrize("azimuth", [202.0, 113.0, 45.0, 90.0])
-def test_strips_and_cores_leave_no_seam(azimuth, monkeypatch):
+def test_sunlit_is_independent_of_strips_and_cores(azimuth, monkeypatch):
     heights = mountains(300, seed=3)
     whole = sunlit(heights, 10.0, azimuth, 6.0)
     for cells, cores in ((64, 1), (37, 2), (1, 2)):
@@ -159,7 +162,7 @@ def turned_grid(heights: np.ndarray, azimuth: float, altitude: float, falls: np.
 
 
 def swept(heights: np.ndarray, azimuth: float, altitude: float, falls: np.ndarray | None) -> np.ndarray:
-    """``sunlit``, over cuts."""
+    """Return ``sunlit`` over cuts."""
     sheet = turned_grid(heights, azimuth, altitude, falls)
     n, m = sheet.level.shape
     lit, _, _ = sweep_nodes(sheet, 8, (sheet.t_of_column[:, 0].min(), m), rows=(0, n))
@@ -167,8 +170,8 @@ def swept(heights: np.ndarray, azimuth: float, altitude: float, falls: np.ndarra
 
 
 @pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0])
-def test_quads_may_be_cut_any_way(azimuth):
-    """As the ground of a camera is where it is decimated: rays over the same triangles agree."""
+def test_sweep_over_any_cuts_matches_rays(azimuth):
+    """Decimated ground of a perspective view has such cuts. Rays run over the same triangles."""
     heights = mountains(150, seed=11)
     falls = np.random.default_rng(1).random((149, 149)) < 0.5
     for altitude in (4.0, 15.0):
@@ -178,17 +181,17 @@ def test_quads_may_be_cut_any_way(azimuth):
 
 
 @pytest.mark.parametrize("azimuth", [*OFF_AXIS, 0.0, 45.0, 90.0, 135.0])
-def test_the_higher_diagonals_are_found_without_being_told(azimuth):
+def test_sweep_derives_the_higher_diagonals(azimuth):
     heights = mountains(150, seed=12)
     own = swept(heights, azimuth, 8.0, None)
     assert (swept(heights, azimuth, 8.0, diagonal_cuts(heights)) != own).mean() < 1e-4
     assert (sunlit(heights, 10.0, azimuth, 8.0) == swept(np.pad(heights, 1, "edge"), azimuth, 8.0, None)[1:-1, 1:-1]).all()
-    if azimuth % 90.0:  # else rays run along rows or columns, and cross no diagonal
+    if azimuth % 90.0:  # otherwise rays run along rows or columns, and cross no diagonal
         assert (swept(heights, azimuth, 8.0, ~diagonal_cuts(heights)) != own).mean() > 1e-3
 
 
-def test_windows_of_rows_hand_their_state_over():
-    """Bits and all: the lines of one window go on where those of the window before it stopped."""
+def test_sweep_rows_continue_across_windows():
+    """The lines of a window continue bit by bit where those of the previous window ended."""
     sheet = turned_grid(mountains(200, seed=5), 190.0, 5.0)
     n, columns = sheet.level.shape
     found = []
@@ -202,13 +205,13 @@ def test_windows_of_rows_hand_their_state_over():
     assert not found[0][1].all()
 
 
-def test_ground_before_a_window_shades_it_through_the_state_alone():
+def test_sweep_state_carries_the_shadow_of_earlier_ground():
     heights = np.zeros((220, 90), np.float32)
-    heights[10:14, 30:50] = 300.0  # a wall in the north, whose shadow falls beyond row 60
+    heights[10:14, 30:50] = 300.0  # a wall in the north, whose shadow reaches beyond row 60
     lit, _, _ = sweep_nodes(turned_grid(heights, 3.0, 20.0), 4, (-30.0, 120.0), rows=(0, 220))
     assert (~lit[60:90]).any()
     before, behind = turned_grid(heights[:61], 3.0, 20.0), turned_grid(heights[60:], 3.0, 20.0)
-    shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels are counted from each window's corner
+    shift = 60 * 10.0 * np.sin(np.radians(20.0)) * np.cos(np.radians(3.0))  # levels count from each window's corner
     state = state_after(before, 4, (-30.0, 120.0))
     line_max = np.where(state.line_max > NO_GROUND_LEVEL / 2, state.line_max - np.float32(shift), NO_GROUND_LEVEL)
     moved = LineState(state.first_cell, line_max.astype(np.float32))
@@ -218,7 +221,7 @@ def test_ground_before_a_window_shades_it_through_the_state_alone():
     assert (handed[1:] != lit[61:]).mean() < 2e-4 and (~handed[1:30]).any()
 
 
-def test_holes_cast_nothing():
+def test_sunlit_holes_cast_no_shadow():
     heights = np.zeros((120, 120), np.float32)
     heights[20:40, 50:70] = 500.0
     with_wall = sunlit(heights, 10.0, 10.0, 30.0)
@@ -227,14 +230,14 @@ def test_holes_cast_nothing():
     assert sunlit(heights, 10.0, 10.0, 30.0).all()
 
 
-def test_a_floor_is_lit_whatever_the_sun():
+def test_sunlit_floor_is_lit_under_any_sun():
     floor = np.zeros((70, 90), np.float32)
     for azimuth in (*range(0, 360, 7), 90, 180, 270, 45, 135, 225, 315):
         assert sunlit(floor, 10.0, float(azimuth), 0.5).all(), azimuth
 
 
 @pytest.mark.parametrize("azimuth", [202.0, 67.0, 90.0])
-def test_one_horizon_answers_all_altitudes(azimuth):
+def test_horizon_deg_answers_all_altitudes(azimuth):
     heights = mountains(160, seed=6)
     horizon = horizon_deg(heights, 10.0, azimuth)
     for altitude in (2.0, 8.0, 25.0, 50.0):
@@ -245,7 +248,7 @@ def test_one_horizon_answers_all_altitudes(azimuth):
         assert np.allclose(horizon_deg(heights, 10.0, azimuth, cores=strip), horizon)
 
 
-def test_the_horizon_of_a_wall_is_its_angle():
+def test_horizon_deg_of_a_wall_is_its_angle():
     heights = np.zeros((90, 40), np.float32)
     heights[10] = 200.0
     horizon = horizon_deg(heights, 10.0, 0.0)
@@ -254,8 +257,8 @@ def test_the_horizon_of_a_wall_is_its_angle():
     assert (horizon[0] == -90.0).all()
 
 
-def test_horizons_and_light_of_the_smallest_grids():
-    """A single row or column of nodes has nothing before it; of two, one shades the other."""
+def test_horizon_deg_and_sunlit_of_the_smallest_grids():
+    """A single row or column has no ground before it. Of two rows, one shades the other."""
     for shape in ((1, 1), (1, 9), (9, 1)):
         heights = np.arange(9.0, dtype=np.float32)[: np.prod(shape)].reshape(shape)
         for azimuth in (0.0, 45.0, 90.0, 200.0):
@@ -267,14 +270,14 @@ def test_horizons_and_light_of_the_smallest_grids():
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 67.0, 90.0, 180.0, 251.0, 270.0])
-def test_all_ground_has_a_horizon_beside_holes_too(azimuth):
+def test_horizon_deg_is_defined_beside_holes(azimuth):
     heights = mountains(80, seed=9)
     heights[np.random.default_rng(0).random(heights.shape) < 0.01] = np.nan
     assert (np.isnan(horizon_deg(heights, 10.0, azimuth)) == np.isnan(heights)).all()
 
 
-def test_lines_that_close_up_and_spread_run_where_their_cubics_do():
-    """A plane is lit. Columns a cell's width wide in the middle alone: runs of lines are not straight there."""
+def test_sweep_lines_of_varying_spacing_follow_their_cubics():
+    """A plane is lit. Columns are one cell wide only in the middle of the grid, so runs of lines are curved."""
     rows, cols = 60, 1200
     column_of_t, t_of_column = position_cubics(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols, "")
     row, col = np.mgrid[:rows, : cols + 2].astype(float)
@@ -283,7 +286,7 @@ def test_lines_that_close_up_and_spread_run_where_their_cubics_do():
     assert lit[1:, 100:-100].mean() > 0.99
 
 
-def test_horizons_of_strips_are_those_of_the_whole(monkeypatch):
+def test_horizon_deg_is_independent_of_strips(monkeypatch):
     from skugga.shadows.sweep import horizon as sweep_horizon
 
     heights = mountains(120, seed=8)
@@ -292,7 +295,7 @@ def test_horizons_of_strips_are_those_of_the_whole(monkeypatch):
     assert np.allclose(horizon_deg(heights, 10.0, 112.0), whole)
 
 
-def test_rays_too_bent_for_the_lines_are_refused():
+def test_position_cubics_refuse_rays_that_bend_too_much():
     column_of_t, t_of_column = position_cubics(lambda i, j: j + 0.3 * i + 1e-5 * i * j, 200, 300, "")
     assert np.allclose(
         column_of_t[100, 0] + column_of_t[100, 1] * (t_of_column[100, 0] + 50 * t_of_column[100, 1]), 50.0, atol=1e-3
@@ -305,14 +308,13 @@ def test_rays_too_bent_for_the_lines_are_refused():
         position_cubics(lambda i, j: np.abs(j - 150.0), 200, 300, "")
 
 
-def test_the_mask_is_written_nowhere_else():
-    """Without rows no mask is made at all."""
+def test_sweep_nodes_without_rows_allocates_no_mask():
     lit, points_lit, above = sweep_nodes(turned_grid(mountains(50), 20.0, 10.0), 2, (0.0, 40.0))
     assert lit.shape == NO_MASK.shape and len(points_lit) == len(above) == 0
 
 
-def test_nodes_in_each_other_s_wake_keep_their_tips():
-    """Near a diagonal nodes shade nodes all along a ray: what stands between two lines must not be cut off."""
+def test_sunlit_keeps_peaks_between_lines_near_a_diagonal():
+    """Near a diagonal, nodes shade one another all along a ray. Peaks between two lines must not be cut off."""
     rng = np.random.default_rng(3)
     heights = (20.0 * (rng.random((200, 200)) < 0.01)).astype(np.float32)
     lit, sure = by_rays(heights, 2.5, 224.99, 10.0)

@@ -1,4 +1,4 @@
-"""Which ground a sweep over a map's block reads, and where its lines run."""
+"""Ground that a sweep over a map's block reads, and the course of its lines."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Q = PATCH_QUADS
 
 
 @given(st.sets(st.tuples(st.integers(-3, 4), st.integers(-3, 4)), max_size=30))
-def testpatch_windows_patches_cover_themselves_once_and_nothing_else(patches):
+def test_patch_windows_cover_each_patch_once(patches):
     covered: list[tuple[int, int]] = []
     for row, col, rows, cols in patch_windows([Patch(0, *place) for place in patches]):
         assert row % Q == col % Q == 0 and (rows - 1) % Q == (cols - 1) % Q == 0
@@ -34,7 +34,7 @@ def testpatch_windows_patches_cover_themselves_once_and_nothing_else(patches):
     assert sorted(covered) == sorted(patches)
 
 
-def test_fitted_cubics_go_through_cubics():
+def test_fitted_cubics_reproduce_cubics():
     x = np.sort(np.random.default_rng(5).uniform(900.0, 3000.0, (6, 17)), axis=1)
     factors = np.random.default_rng(6).normal(size=(6, 4)) * (1.0, 1e-1, 1e-5, 1e-9)
     y = np.stack([np.polynomial.polynomial.polyval(*pair) for pair in zip(x, factors, strict=True)])
@@ -44,8 +44,8 @@ def test_fitted_cubics_go_through_cubics():
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 100.0, 190.0, 280.0])
-def test_rows_without_ground_are_not_looked_at(write_raster, make_scene, monkeypatch, azimuth):
-    """What memory holds there, be it higher than all ground, changes nothing: of nodes as of other points."""
+def test_sweep_ignores_rows_without_ground(write_raster, make_scene, monkeypatch, azimuth):
+    """Memory of these rows may hold heights above all ground. They change no result, for nodes or for other points."""
     height = np.zeros((900, 900), np.float32)
     height[::60], height[:, ::70] = 40.0, 60.0
     scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0), azimuth, 20.0)
@@ -55,7 +55,7 @@ def test_rows_without_ground_are_not_looked_at(write_raster, make_scene, monkeyp
     at_points = find_casters(scene, buffer)
     at_points = replace(
         at_points, culled=frozenset(at_points.patches)
-    )  # the sheet is as large as with them, and has no ground there
+    )  # the sheet keeps its size, and has no ground in those patches
     of_nodes = Casters(find_sun_casters(scene, nodes), at_points.reach)
     of_nodes = replace(of_nodes, culled=frozenset(of_nodes.patches))
 

@@ -1,4 +1,4 @@
-"""The sweep through the whole path: maps and perspective views, on a curved earth, held against truth."""
+"""Sweep through the whole pipeline: maps and perspective views on a curved earth, compared with truth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tests.rasters import ENGINEERING
 from tests.render import block_at, render, shadow
 
 SUNS = [(22.0, 10.0), (67.0, 3.0), (113.0, 10.0), (158.0, 20.0), (202.0, 15.0), (247.0, 5.0), (293.0, 10.0), (338.0, 8.0)]
-"""One in each octant, so that each way of turning a grid is taken."""
+"""One sun in each octant, so that each orientation of the grid is used."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def under(scene: Scene, azimuth: float, altitude: float) -> Scene:
 
 
 def looked_at(scene: Scene, view, **settings) -> tuple[GeometryBuffer, Casters, np.ndarray]:
-    """A view's buffer, its casters, and the sweep's visibility with what is turned away dark."""
+    """Return a view's buffer, its casters, and the sweep's visibility with attached shadow dark."""
     buffer = geometry_buffer(scene, view)
     casters = find_casters(scene, buffer)
     seen = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(**settings), PassLog())
@@ -60,8 +60,8 @@ def looked_at(scene: Scene, view, **settings) -> tuple[GeometryBuffer, Casters, 
 
 
 @pytest.mark.parametrize("sun", SUNS)
-def test_a_tile_of_a_curved_earth_is_as_rays_see_it(jacksboro, tile, sun):
-    """Casters beyond the block, meridians that converge, holes: wrong are at most 0.03 % of what is decidable."""
+def test_sweep_of_a_tile_on_a_curved_earth_matches_truth(jacksboro, tile, sun):
+    """The tile has casters beyond the block, converging meridians and holes. At most 0.03 % of the decidable pixels are wrong."""
     scene = under(jacksboro, *sun)
     buffer, casters, seen = looked_at(scene, tile)
     found = error_metrics(seen, trace_truth(buffer, scene, casters), 30.0)
@@ -70,7 +70,7 @@ def test_a_tile_of_a_curved_earth_is_as_rays_see_it(jacksboro, tile, sun):
 
 
 @pytest.mark.parametrize("sun", SUNS[1::3])
-def test_pixels_that_are_no_nodes(jacksboro, sun):
+def test_sweep_of_pixels_off_the_nodes_matches_truth(jacksboro, sun):
     scene = under(jacksboro, *sun)
     view = scene.view(size=(301, 257))
     assert not view.on_nodes
@@ -79,8 +79,8 @@ def test_pixels_that_are_no_nodes(jacksboro, sun):
     assert found.wrong <= 3e-4 and found.interior <= 1e-4
 
 
-def test_ground_far_away_casts_through_coarser_windows(write_raster, make_scene, monkeypatch):
-    """What the lines have met in a coarse window is handed over to the finer one before it."""
+def test_sweep_casts_far_ground_through_coarse_windows(write_raster, make_scene, monkeypatch):
+    """The state of lines in a coarse window continues in the finer window before it."""
     monkeypatch.setattr(reach, "FULL_DETAIL_NODES", 600)
     row, col = np.mgrid[:1500, :500]
     heights = np.maximum(2000.0 - 8.0 * np.hypot((row - 150) * 4, col - 250), 30.0 * np.sin(row / 20.0) * np.sin(col / 23.0))
@@ -93,14 +93,14 @@ def test_ground_far_away_casts_through_coarser_windows(write_raster, make_scene,
     seen = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), casters, SweepSettings(), PassLog())
     near = Casters(tuple(patch for patch in casters.patches if patch.level == 0), casters.reach)
     without = sweep.fill(receivers_of(buffer, scene, "sun"), scene, "sun", ("relief",), near, SweepSettings(), PassLog())
-    assert (without - seen).mean() > 0.05  # the far ground is what shades
+    assert (without - seen).mean() > 0.05  # the far ground casts the shadow
     seen[attached(buffer, scene)] = 0.0
     assert error_metrics(seen, real, 20.0).wrong <= 1e-3 and seen.mean() > 0.05
 
 
 @pytest.mark.parametrize("sun", SUNS[::3])
-def test_coarse_ground_behind_a_block_shades_none_of_it(jacksboro, sun):
-    """Far finer than the raster, a map reads its casters coarsely from nearby on, and some behind it, too."""
+def test_sweep_ignores_coarse_ground_behind_a_block(jacksboro, sun):
+    """The map is far finer than the raster, so its casters are coarse close by, and some lie behind the block."""
     scene = under(jacksboro, *sun)
     view = scene.view(bounds=(-84.2505, 36.2928, -84.2495, 36.2938), size=(128, 128), crs="EPSG:4326")
     buffer, casters, seen = looked_at(scene, view)
@@ -108,8 +108,8 @@ def test_coarse_ground_behind_a_block_shades_none_of_it(jacksboro, sun):
     assert error_metrics(seen, trace_truth(buffer, scene, casters), 0.8).wrong <= 3e-4
 
 
-def test_far_from_the_anchor_high_ground_stands_where_it_stands(write_raster, make_scene):
-    """Ten degrees of longitude from the level's middle the anchor's light space leans, and would carry summits aside."""
+def test_sweep_far_from_the_anchor_keeps_summit_positions(write_raster, make_scene):
+    """Ten degrees of longitude from the level's middle the anchor's light space leans, and would displace summits."""
     rng = np.random.default_rng(3)
     heights = np.kron(rng.uniform(0.0, 8000.0, (6, 60)), np.ones((4, 4))).astype(np.float32)
     heights = np.minimum(heights, np.roll(heights, 2, axis=1))
@@ -122,8 +122,8 @@ def test_far_from_the_anchor_high_ground_stands_where_it_stands(write_raster, ma
 
 
 @pytest.mark.parametrize("azimuth", [225.0, 270.0])
-def test_where_meridians_converge_no_shadow_is_made_up(write_raster, make_scene, azimuth):
-    """Twenty degrees of longitude in the Arctic: the rays' way over the map turns by as much from side to side."""
+def test_sweep_of_converging_meridians_matches_truth(write_raster, make_scene, azimuth):
+    """In the Arctic, twenty degrees of longitude turn the rays' direction on the map by as much from side to side."""
     row, col = np.mgrid[:300, :512]
     heights = (600.0 + 500.0 * np.sin(row / 9.0) * np.sin(col / 7.0)).astype(np.float32)
     scene = make_scene(write_raster(heights, "EPSG:4326", 20.0, 80.5, (20.0 / 512, 2.0 / 300)), azimuth=azimuth, altitude=4.0)
@@ -134,8 +134,11 @@ def test_where_meridians_converge_no_shadow_is_made_up(write_raster, make_scene,
 
 
 @pytest.mark.parametrize("latitude, width_km", [(0.0, 1000.0), (65.0, 1000.0), (78.0, 500.0), (84.0, 250.0)])
-def test_lines_follow_the_rays_across_so_wide_a_map(write_raster, make_scene, latitude, width_km):
-    """Farther than sweeps are asked to, whatever the azimuth: elsewhere they fall back to maps (``skugga.shadows.bent_rays``)."""
+def test_sweep_lines_follow_rays_across_wide_maps(write_raster, make_scene, latitude, width_km):
+    """The maps are wider than any that sweeps serve, at all azimuths.
+
+    Plans fall back to shadow maps (``skugga.shadows.bent_rays``).
+    """
     assert 1e3 * width_km > MAX_STRAIGHT_M
     x, y = Transformer.from_crs(4326, 3857, always_xy=True).transform(10.0, latitude)
     stretch, heights = 1.0 / np.cos(np.radians(latitude)), np.zeros((8, 8), np.float32)
@@ -148,10 +151,11 @@ def test_lines_follow_the_rays_across_so_wide_a_map(write_raster, make_scene, la
         rays_at(scene, view.grid, view.row0 + 512.0, view.col0 + 512.0).places(0, view.row0, view.col0, 1024, 1024)  # or raises
 
 
-def test_blocks_join_without_a_seam(jacksboro):
-    """The same nodes, asked for as part of one window and of another: the classes are the same.
+def test_sweep_blocks_join_without_a_seam(jacksboro):
+    """The same nodes have the same classes as part of two windows.
 
-    Lines run elsewhere in each. So nodes that the sun's rays pass by centimetres, which truth does not decide, are left out.
+    Lines run elsewhere in each window. The test leaves out nodes that the sun's rays pass by centimetres, which truth does not
+    decide.
     """
     scene = under(jacksboro, 247.0, 6.0)
     block = block_at(-84.25, 36.2933, 12)
@@ -164,8 +168,8 @@ def test_blocks_join_without_a_seam(jacksboro):
 
 
 @pytest.mark.parametrize("size, decimated", [(3000, False), (14000, True)])
-def test_perspective_views_over_drawn_ground(tmp_path, size, decimated):
-    """Whole, and decimated: what is drawn is what casts."""
+def test_sweep_of_perspective_views_matches_truth(tmp_path, size, decimated):
+    """The ground is whole or decimated, and the drawn ground is the ground that casts."""
     path = tmp_path / "ridges.yaml"
     path.write_text(f"""
 version: 1
@@ -182,8 +186,8 @@ views:
     assert found.wrong <= (1.5e-3 if decimated else 3e-4) and found.interior <= MAX_INTERIOR
 
 
-def test_trees_and_houses_stand_in_the_hills_shadow():
-    """Ground alone casts; what stands on it is shaded to the height that it is shaded to."""
+def test_sweep_shades_trees_and_houses_by_hills():
+    """Only ground casts. Objects on it are shaded up to the shadow's height."""
     scene = build_scene(load_level("configs/jacksboro_wooded.yaml"))
     scene = under(scene, 120.0, 6.0)
     view = scene.view("valley", size=(320, 256))
@@ -196,7 +200,7 @@ def test_trees_and_houses_stand_in_the_hills_shadow():
 
 
 @pytest.mark.long
-def test_the_penumbra_of_the_sun_is_as_its_disc_makes_it(jacksboro, tile):
+def test_sweep_penumbra_matches_the_sun_disc(jacksboro, tile):
     for sun in ((113.0, 10.0), (202.0, 25.0)):
         scene = under(jacksboro, *sun)
         buffer, casters, seen = looked_at(scene, tile, filter="sun")
@@ -209,7 +213,7 @@ def test_the_penumbra_of_the_sun_is_as_its_disc_makes_it(jacksboro, tile):
         assert np.abs(seen - real)[soft].mean() < 0.1
 
 
-def test_the_strips_of_the_sun_are_equal_shares_of_its_disc():
+def test_strips_of_sun_have_equal_areas():
     angles = sweep.strips_of_sun(16)
     assert np.allclose(angles, -angles[::-1]) and np.abs(angles).max() < np.radians(SUN_RADIUS_DEG)
     rng = np.random.default_rng(0)
@@ -219,7 +223,7 @@ def test_the_strips_of_the_sun_are_equal_shares_of_its_disc():
     assert np.allclose(below, (np.arange(16) + 0.5) / 16, atol=0.005)
 
 
-def test_above_the_shadows_height_the_sun_is_seen_and_below_it_is_not(jacksboro, tile):
+def test_shadow_height_separates_sun_from_shadow(jacksboro, tile):
     scene = under(jacksboro, 113.0, 8.0)
     plan = make_plan(describe(scene, tile), scene.loaded.level, {"algorithm": "sweep"})
     frame = render_frame(scene, tile, plan, layers=frozenset({"shadow-height"}))
@@ -237,7 +241,7 @@ def test_above_the_shadows_height_the_sun_is_seen_and_below_it_is_not(jacksboro,
         assert (~rays.blocked(at, to_sun) == sees).mean() > 0.98
 
 
-def test_more_cores_change_nothing(jacksboro, tile, monkeypatch):
+def test_sweep_is_independent_of_the_number_of_cores(jacksboro, tile, monkeypatch):
     scene = under(jacksboro, 67.0, 5.0)
     monkeypatch.setattr(sweep, "CORES", 1)
     one = looked_at(scene, tile)[2]
@@ -245,7 +249,7 @@ def test_more_cores_change_nothing(jacksboro, tile, monkeypatch):
     assert (looked_at(scene, tile)[2] == one).all()
 
 
-def test_a_frame_by_sweep_needs_no_opengl(jacksboro, monkeypatch):
+def test_sweep_frame_needs_no_opengl(jacksboro, monkeypatch):
     from skugga.terrain.gl import device as gl
 
     def never() -> None:
@@ -259,7 +263,7 @@ def test_a_frame_by_sweep_needs_no_opengl(jacksboro, monkeypatch):
     assert [name for name in frame.plan.passes if "/" in name] == ["sun/relief: sweep"]
 
 
-def test_the_sky_above_a_perspective_view_is_no_receiver(tmp_path):
+def test_sweep_ignores_the_sky_of_a_perspective_view(tmp_path):
     path = tmp_path / "floor.yaml"
     path.write_text("""
 version: 1

@@ -1,7 +1,7 @@
-"""What each metric says of faults that are known, because they are put there: the table of ``docs/accuracy.md``.
+"""Error metrics under known, deliberate faults: the table of ``docs/accuracy.md``.
 
-A metric that no fault moves measures nothing, and one that stays at 0 under a fault is no proof against it.
-``python -m tests.shadows.truth.faults`` prints the table, with ``--into docs/accuracy.md`` it writes it there.
+A metric that no fault moves measures nothing. A metric that stays at 0 under a fault does not detect it.
+``python -m tests.shadows.truth.faults`` prints the table; ``--into docs/accuracy.md`` writes it there.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from tests.metrics import flicker
 
 SIDE_PX = 192
 SAMPLES = 8
-"""Samples along a pixel's side that tell which share of it is in shadow."""
+"""Samples along a pixel's side, which give its share in shadow."""
 
 PERCENT = ("wrong", "wrong_cast", "false_shadow", "missed_shadow", "interior", "interior_sees", "coverage", "flicker", "soft_error")
-"""Metrics that are shares; the others are pixels and counts."""
+"""Metrics that are shares. The others are pixels and counts."""
 
 METRICS = (
     "wrong", "wrong_cast", "false_shadow", "missed_shadow", "edge_mean", "edge_p95", "interior", "interior_parts", "interior_sees",
@@ -33,11 +33,11 @@ METRICS = (
 )  # fmt: skip
 
 Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Whether places (x, y), in pixels from the upper left corner, are in a shadow."""
+"""A function of positions (x, y), in pixels from the upper left corner, that returns whether they are in a shadow."""
 
 
 def _slanted(x0: float, y0: float, wide: float, long: float, turn_deg: float) -> Shape:
-    """A rectangle whose foot has its middle at (x0, y0), and that goes ``long`` pixels from there."""
+    """Return a rectangle whose foot is centred at (x0, y0), and which is ``long`` pixels long."""
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
 
     def holds(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -53,14 +53,14 @@ def _disc(x0: float, y0: float, radius: float) -> Shape:
 
 HOUSE, TREE, POLE = _slanted(20.3, 30.2, 40.0, 70.0, 17.0), _disc(140.4, 50.7, 15.0), _slanted(30.1, 120.4, 3.0, 90.0, 17.0)
 SLOPE = _slanted(60.2, 174.3, 20.0, 110.0, 0.0)
-"""The last is turned away from the sun; what is cast are the others."""
+"""``SLOPE`` faces away from the sun. The other shapes are cast shadows."""
 
 CAST = {"house": HOUSE, "tree": TREE, "pole": POLE}
 
 
 @cache
 def _shares(*shapes: Shape, right: float = 0.0, px: int = 1) -> np.ndarray:
-    """The share of each pixel (rows, cols) that lies in any of some shadows, moved right; by the centres of texels of ``px``."""
+    """Return the share of each pixel (rows, cols) in any of some shadows, moved right, by the centres of texels of ``px``."""
     at = (np.arange(SIDE_PX * SAMPLES) + 0.5) / SAMPLES
     at = at if px == 1 else (np.floor(at / px) + 0.5) * px
     x, y = np.meshgrid(at - right, at)
@@ -70,7 +70,7 @@ def _shares(*shapes: Shape, right: float = 0.0, px: int = 1) -> np.ndarray:
 
 @cache
 def _truth() -> tuple[Truth, np.ndarray]:
-    """Truth, decidable where a pixel is of one class throughout, and the true shadow share of each pixel."""
+    """Return truth, decidable where a pixel has one class throughout, and the true shadow share of each pixel."""
     cast, turned_away = _shares(*CAST.values()), _shares(SLOPE)
     share = np.maximum(cast, turned_away)
     valid = np.ones(share.shape, bool)
@@ -79,7 +79,7 @@ def _truth() -> tuple[Truth, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An algorithm's visibility (rows, cols), that of the next frame, where truth stays, and how many pixels its texels cover."""
+    """Visibility (rows, cols) of an algorithm, visibility of the next frame under the same truth, and pixels per texel."""
 
     visibility: np.ndarray
     after: np.ndarray | None = field(default=None)
@@ -87,7 +87,7 @@ class Picture:
 
 
 def _drawn(*cast: Shape, right: float = 0.0, px: int = 1, turned_away: bool = True) -> np.ndarray:
-    """Visibility at the pixels' centres, 0 or 1."""
+    """Return visibility at the pixels' centres, 0 or 1."""
     dark = _shares(*cast, right=right, px=px) >= 0.5
     return 1.0 - (dark | (turned_away & (_shares(SLOPE) >= 0.5)))
 
@@ -98,7 +98,7 @@ def _with_acne(seed: int) -> np.ndarray:
 
 
 def _with(which: Shape, visibility: float) -> np.ndarray:
-    """A picture in which some place has another visibility."""
+    """Return a picture with another visibility within a shape."""
     return np.where(_shares(which) >= 0.5, visibility, _drawn(*CAST.values()))
 
 
@@ -123,12 +123,12 @@ FAULTS: Mapping[str, Callable[[], Picture]] = {
     "a penumbra 10 px wide": lambda: Picture(gaussian_filter(_drawn(*CAST.values()), 4.0)),
     "a turned-away slope lit": lambda: Picture(_drawn(*CAST.values(), turned_away=False)),
 }
-"""What is drawn, by what is wrong with it."""
+"""Pictures by their fault."""
 
 
 @cache
 def figures(fault: str) -> dict[str, float]:
-    """What each metric says of the picture with a fault."""
+    """Return each metric of the picture with a fault."""
     truth, share = _truth()
     picture = FAULTS[fault]()
     errors = vars(error_metrics(picture.visibility, truth, 1.0, picture.texel_px))
@@ -142,7 +142,7 @@ def figures(fault: str) -> dict[str, float]:
 
 
 def table() -> str:
-    """Problem by metric in Markdown; what differs from a picture without a fault is bold."""
+    """Return the Markdown table of metrics by fault. Values that differ from the picture without a fault are bold."""
     lines = ["| fault | " + " | ".join(f"`{name}`" for name in METRICS) + " |", "| --- |" + " ---: |" * len(METRICS)]
     clean = figures("none")
     for fault in FAULTS:

@@ -1,4 +1,4 @@
-"""Truth is made once for the same content, and anew for any other."""
+"""Cache of truth: one computation for the same content, another for any other content."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
 
 
-def test_the_same_content_is_made_once(tmp_path, monkeypatch):
+def test_cached_truth_is_computed_once_per_content(tmp_path, monkeypatch):
     scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=237, altitude=10))
     view = scene.view(size=(60, 64))
     frame = scene.world.frame_near(view.grid.crs, *view.centre)
@@ -59,7 +59,7 @@ def test_the_same_content_is_made_once(tmp_path, monkeypatch):
     assert len(keys) == 6
 
 
-def test_a_larger_lamp_is_another_content():
+def test_content_key_depends_on_the_lamp():
     scene = build_scene(load_level("configs/thesis_street.yaml"))
     (name,) = scene.lamps
     lamp = scene.lamps[name]

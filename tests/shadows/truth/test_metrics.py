@@ -1,4 +1,4 @@
-"""Each metric on an example small enough to do by hand."""
+"""Error metrics on examples that are small enough for hand calculation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skugga.shadows.truth.metrics import (
-    MIN_SIGHT,
+    MIN_COVERED_SHARE,
     block_shares,
     boundary,
     coverage_error,
@@ -40,40 +40,40 @@ def truth(lit, attached=None, decidable=None, valid=None) -> Truth:
 
 
 def strip(text: str) -> np.ndarray:
-    """One row: 1 lit, 0 shadow."""
+    """Return one row: 1 is lit, 0 is shadow."""
     return np.array([[float(c) for c in text]])
 
 
-def test_shares_of_wrong_pixels():
-    """Ten decidable pixels: truth has four in shadow, one of them attached. One lit too many, one dark too many."""
+def test_error_metrics_shares_of_wrong_pixels():
+    """Of ten decidable pixels, truth has four in shadow, one of them attached. One pixel is wrongly lit, one wrongly dark."""
     real = truth(strip("1111110000"), attached=strip("0000000001"))
     found = error_metrics(strip("1111101000"), real, pixel_m=10.0)
     assert found.wrong == 2 / 10
     assert found.false_shadow == 1 / 6 and found.missed_shadow == 1 / 4
-    # Cast shadow of either: pixels 5, 6, 7, 8 (9 is attached); two of them are wrong.
+    # Pixels 5, 6, 7 and 8 are in cast shadow in either picture (9 is attached); two of them are wrong.
     assert found.wrong_cast == 2 / 4
     assert found.boundary == 0.0
 
 
-def test_boundary_pixels_do_not_count():
+def test_error_metrics_ignore_boundary_pixels():
     real = truth(strip("1111110000"), decidable=strip("1111100111"))
     found = error_metrics(strip("1111101000"), real, pixel_m=1.0)
     assert found.wrong == found.wrong_cast == found.false_shadow == found.missed_shadow == 0.0
     assert found.boundary == pytest.approx(2 / 10)
 
 
-def test_the_share_in_cast_shadow_is_of_the_surface_and_leaves_out_what_is_turned_away():
-    """Of eight pixels that show a surface three are in shadow, one of them attached; none of what is off it counts."""
+def test_truth_cast_is_the_share_of_the_surface():
+    """Of eight pixels that show a surface, three are in shadow, one of them attached. Pixels off the surface do not count."""
     real = truth(strip("1111100000"), attached=strip("0000000100"), valid=strip("1111111100"))
     assert real.cast == 2 / 8
     assert truth(strip("00"), valid=strip("00")).cast == 0.0
 
 
-def test_visibility_of_one_half_is_lit():
+def test_error_metrics_count_one_half_as_lit():
     assert error_metrics(np.array([[0.5, 0.49]]), truth([[1, 0]]), 1.0).wrong == 0.0
 
 
-def test_boundaries_are_shadow_pixels_beside_lit_ones():
+def test_boundary_is_shadow_pixels_beside_lit_ones():
     dark = np.array([[0, 0, 0, 0], [0, 1, 1, 1], [0, 1, 1, 1], [0, 1, 1, 1]], bool)
     expected = np.array([[0, 0, 0, 0], [0, 1, 1, 1], [0, 1, 0, 0], [0, 1, 0, 0]], bool)
     np.testing.assert_array_equal(boundary(dark, np.ones((4, 4), bool)), expected)
@@ -82,8 +82,8 @@ def test_boundaries_are_shadow_pixels_beside_lit_ones():
     assert boundary(dark, no_surface_above)[1].tolist() == [False, True, False, False]
 
 
-def test_an_edge_displaced_by_three_pixels():
-    """A straight edge moved by 3 px: every distance is 3, both ways."""
+def test_edge_distances_of_a_displaced_edge():
+    """A straight edge moves by 3 px, so every distance is 3, both ways."""
     real, found = np.zeros((10, 20), bool), np.zeros((10, 20), bool)
     real[:, 8:], found[:, 11:] = True, True
     everywhere = np.ones((10, 20), bool)
@@ -93,28 +93,28 @@ def test_an_edge_displaced_by_three_pixels():
     assert (said.edge_mean, said.edge_p95, said.edge_mean_m, said.edge_p95_m) == (3.0, 3.0, 90.0, 90.0)
 
 
-def test_p95_of_edges_that_mostly_agree():
-    """One row of twenty has its edge 10 px off: of 40 distances two are 10 or near, the others 0."""
+def test_edge_distances_of_edges_that_mostly_agree():
+    """One row of twenty has its edge 10 px off. Of 40 distances two are about 10, and the others 0."""
     real, found = np.zeros((20, 40), bool), np.zeros((20, 40), bool)
     real[:, 10:], found[:, 10:] = True, True
     found[0, 10:20] = False
     distances = np.sort(edge_distances(found, real, np.ones((20, 40), bool)))
-    # The notch's own pixels: its floor at column 20 (row 0) and the row below it, columns 10 to 19, now an edge as well.
+    # The notch's own pixels: its floor at column 20 (row 0), and the row below it, columns 10 to 19, which is now an edge, too.
     assert (distances == 0).sum() == 38 and distances[-1] == pytest.approx(np.hypot(1, 9), abs=1.1)
 
 
-def test_lost_and_invented_components_are_no_edges_but_interior():
+def test_lost_and_invented_components_count_as_interior():
     real, found = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
     real[5:25, 5:25] = True  # lost
     found[5:25, 35:55] = True  # invented
     said = error_metrics((~found).astype(float), truth(~real), pixel_m=1.0)
     assert said.edge_mean == said.edge_p95 == 0.0
     assert said.interior_parts == 2
-    # Farther than 2 px from truth's boundary: the lost square's inner 20 - 2 * 2 - ... pixels and all that was invented.
+    # Pixels farther than 2 px from truth's boundary: the lost square's inner 20 - 2 * 2 - ... pixels, and all invented ones.
     assert said.interior == pytest.approx((16 * 16 + 400) / 1800, abs=16 * 4 / 1800)
 
 
-def test_interior_leaves_out_what_lies_at_the_boundary():
+def test_interior_excludes_pixels_near_the_boundary():
     real = np.zeros((20, 20), bool)
     real[:, 10:] = True
     wrong = np.zeros((20, 20), bool)
@@ -127,38 +127,38 @@ def test_interior_leaves_out_what_lies_at_the_boundary():
     assert interior(wrong, np.zeros((20, 20), bool), everywhere, 2.0).sum() == wrong.sum()  # truth has no boundary
 
 
-def test_small_interior_parts_are_no_parts():
+def test_interior_parts_have_at_least_eight_pixels():
     real, found = np.zeros((40, 40), bool), np.zeros((40, 40), bool)
     found[5, 5:12] = True  # seven pixels
     found[20, 5:13] = True  # eight
     assert error_metrics((~found).astype(float), truth(~real), 1.0).interior_parts == 1
 
 
-def test_coverage_compares_shares_in_blocks():
-    """Two blocks: shares 1/4 against 1/2, and 1 against 1; what fills no block is left out."""
+def test_coverage_error_compares_shares_in_blocks():
+    """The two blocks have shares 1/4 against 1/2, and 1 against 1. An incomplete block does not count."""
     share, real = np.zeros((16, 35)), np.zeros((16, 35))
     share[:4, :16], real[:8, :16] = 1.0, 1.0
     share[:, 16:32] = real[:, 16:32] = 1.0
     real[:, 32:] = 1.0
     assert coverage_error(block_shares(share), block_shares(real)) == pytest.approx((0.25 + 0.0) / 2)
-    share[:, 16:32] = np.nan  # no surface there: the block does not count
+    share[:, 16:32] = np.nan  # a block without surface does not count
     real[:, 16:32] = np.nan
     assert coverage_error(block_shares(share), block_shares(real)) == pytest.approx(0.25)
 
 
-def test_soft_error_is_the_mean_difference_on_the_surface():
+def test_soft_error_is_the_mean_difference():
     assert soft_error(np.array([[0.0, 0.5, np.nan]]), np.array([[0.25, 0.5, 0.0]])) == pytest.approx(0.125)
 
 
-def test_flicker_counts_changes_that_truth_does_not_make():
+def test_flicker_counts_changes_without_a_change_of_truth():
     dark, after = strip("0011").astype(bool), strip("0110").astype(bool)
     real, real_after = strip("0011").astype(bool), strip("0111").astype(bool)
-    # Points 1 and 3 change; at point 1 truth changes too. Comparable are all but the first: 2 of them steady.
+    # Points 1 and 3 change; truth changes at point 1, too. All points but the first are comparable, and 2 of them steady.
     assert flicker(dark, after, real, real_after, strip("0111").astype(bool)) == 1 / 2
 
 
 @pytest.mark.parametrize("dark", [True, False])
-def test_a_picture_without_surface_light_or_shadow_divides_by_nothing(dark):
+def test_metrics_are_finite_without_surface_light_or_shadow(dark):
     nothing = np.zeros((20, 20), bool)
     for real in (
         Truth(nothing, nothing, nothing, nothing),
@@ -172,7 +172,7 @@ def test_a_picture_without_surface_light_or_shadow_divides_by_nothing(dark):
     assert soft_error(np.full((2, 2), np.nan), np.full((2, 2), np.nan)) == 0.0
 
 
-# -- faults that are put there
+# -- deliberate faults
 
 
 MOVED_BY = {
@@ -189,7 +189,7 @@ MOVED_BY = {
     "flicker": "shimmer: 1 px to and fro",
     "soft_error": "a penumbra 10 px wide",
 }
-"""A fault that each metric is there for."""
+"""A fault that each metric must detect."""
 
 BLIND_TO = {
     "interior": ("shifted by 1 px", "a thin caster lost: the pole", "all cast shadow lost, texels of 40 px"),
@@ -200,36 +200,39 @@ BLIND_TO = {
     "edge_p95": ("a caster missing: the tree", "a shadow invented", "all cast shadow lost, texels of 40 px"),
     "flicker": ("all cast shadow lost, texels of 40 px",),
 }
-"""Faults that a metric does not see, by its definition."""
+"""Faults that a metric cannot detect, by its definition."""
 
 
 @pytest.mark.parametrize("metric", faults.METRICS)
-def test_each_metric_moves_under_the_fault_it_is_there_for(metric):
+def test_metric_detects_its_fault(metric):
     clean, faulty = faults.figures("none"), faults.figures(MOVED_BY[metric])
     if metric == "interior_sees":
-        assert faulty[metric] < MIN_SIGHT < clean[metric]
+        assert faulty[metric] < MIN_COVERED_SHARE < clean[metric]
     else:
         assert faulty[metric] > 2.0 * clean[metric] and faulty[metric] > 0.0
 
 
 @pytest.mark.parametrize("fault", [fault for fault in faults.FAULTS if fault != "none"])
-def test_no_fault_is_unseen_by_all(fault):
-    """Between them ``wrong`` and ``flicker`` see every one of them."""
+def test_wrong_or_flicker_detects_every_fault(fault):
     clean, faulty = (faults.figures(name) for name in ("none", fault))
     assert faulty["wrong"] > clean["wrong"] or faulty["flicker"] > clean["flicker"]
 
 
 @pytest.mark.parametrize(("metric", "fault"), [(metric, fault) for metric, its in BLIND_TO.items() for fault in its])
-def test_what_a_metric_does_not_see_is_known(metric, fault):
+def test_metric_stays_zero_under_undetectable_faults(metric, fault):
     assert faults.figures(fault)[metric] == faults.figures("none")[metric] == 0.0
 
 
-def test_the_page_has_the_table_of_faults():
+def test_docs_contain_the_table_of_faults():
     assert faults.table() in Path("docs/accuracy.md").read_text(encoding="utf-8"), "python -m tests.shadows.truth.faults --into ..."
 
 
-def test_sight_by_hand():
-    """A shadow of 12 x 12 px: all of it is seen from its edge on, 8 x 8 px two pixels inside, 4 x 4 px of texels of two pixels."""
+def test_metric_coverage_by_hand():
+    """Of a shadow of 12 x 12 px, all counts from its edge on.
+
+    Farther than two pixels from the boundary are 12 - 2 * 3 = 6 by 6 px; farther than two texels of two pixels, 12 - 2 * 5 = 2 by 2
+    px.
+    """
     real = np.zeros((30, 30), bool)
     real[8:20, 8:20] = True
     its = truth(~real)
@@ -249,7 +252,7 @@ def test_sight_by_hand():
     assert error_metrics((~lost).astype(float), its, 1.0, 100.0).interior_sees == 0.0
 
 
-def test_edges_see_the_components_that_they_meet():
+def test_edge_metric_coverage_counts_overlapping_components():
     real, found = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
     real[5:15, 5:15] = real[5:15, 35:45] = True
     found[5:15, 7:17] = True
@@ -259,8 +262,11 @@ def test_edges_see_the_components_that_they_meet():
 
 
 @pytest.mark.parametrize("shape", [(40, 60), (1, 30), (25, 2)])
-def test_edges_near_a_pixel_are_told_by_the_pixels_round_it(shape):
-    """Blots and holes: whatever lies beyond ``edge_test_region`` does not matter, and what is near is what all distances say."""
+def test_far_from_edges_depends_only_on_the_test_region(shape):
+    """The shapes are blots and holes.
+
+    Pixels beyond ``edge_test_region`` do not matter, and the result agrees with all distances.
+    """
     rng = np.random.default_rng(4)
     valid = rng.random(shape) < 0.97
     dark = np.zeros(shape, bool)

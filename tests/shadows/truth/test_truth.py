@@ -1,4 +1,4 @@
-"""Truth through the whole path: analytic terrain, decidability, its noise, and defects that its metrics must catch."""
+"""Truth through the whole pipeline: analytic terrain, decidability, noise, and defects that its metrics must detect."""
 
 from __future__ import annotations
 
@@ -70,40 +70,40 @@ def usual(scene, view, real) -> ErrorMetrics:
     return error_metrics(visibility(scene, view), real, 30.0)
 
 
-def test_the_shadow_map_is_near_truth(gl, usual):
-    """What the defects below are measured against."""
+def test_shadow_map_is_near_truth(gl, usual):
+    """This is the baseline of the defects below."""
     assert usual.wrong < 0.005 and usual.wrong_cast < 0.03 and usual.interior < MAX_INTERIOR and usual.edge_p95 <= 2.0
     assert usual.boundary < 0.15
 
 
-def test_too_much_or_too_little_slope_in_the_comparison_moves_false_shadow(gl, scene, view, real, usual):
+def test_wrong_bias_raises_false_shadow(gl, scene, view, real, usual):
     found = error_metrics(visibility(scene, view, bias_scale=50.0), real, 30.0)
     assert found.false_shadow > 20 * max(usual.false_shadow, 1e-3)
     found = error_metrics(visibility(scene, view, bias_scale=0.0), real, 30.0)
     assert found.false_shadow > 5 * max(usual.false_shadow, 1e-3)
 
 
-def test_a_sun_wrong_by_one_degree_moves_the_edges(gl, scene, view, real, usual):
+def test_sun_wrong_by_one_degree_displaces_edges(gl, scene, view, real, usual):
     off = scene.with_sun(SunSpec(azimuth=237, altitude=ALTITUDE + 1.0))
     found = error_metrics(visibility(off, view), real, 30.0)
     assert found.edge_mean > usual.edge_mean + 0.3 and found.wrong_cast > 3 * usual.wrong_cast
 
 
-def test_a_mirrored_azimuth_moves_false_and_missed_shadow(gl, scene, view, real, usual):
+def test_mirrored_azimuth_raises_false_and_missed_shadow(gl, scene, view, real, usual):
     mirrored = scene.with_sun(SunSpec(azimuth=360 - 237, altitude=ALTITUDE))
     found = error_metrics(visibility(mirrored, view), real, 30.0)
     assert found.false_shadow > 0.1 and found.missed_shadow > 0.1 and found.interior > 0.05
 
 
-def test_heights_times_1_02_move_the_edges(gl, view, real, usual, scene):
+def test_exaggeration_of_2_percent_displaces_edges(gl, view, real, usual, scene):
     level = scene.loaded.level.model_copy(update={"terrain": scene.loaded.level.terrain.model_copy(update={"exaggeration": 1.02})})
     higher = build_scene(scene.loaded.model_copy(update={"level": level})).with_sun(SunSpec(azimuth=237, altitude=ALTITUDE))
     found = error_metrics(visibility(higher, view), real, 30.0)
     assert found.edge_mean > usual.edge_mean and found.wrong_cast > 1.5 * usual.wrong_cast
 
 
-def test_a_dropped_caster_moves_interior_and_its_parts(gl, write_raster, make_scene):
-    """A ridge outside of the view throws its shadow into it; without the patches outside it is lost."""
+def test_dropped_caster_raises_interior_and_its_parts(gl, write_raster, make_scene):
+    """A ridge outside the view casts its shadow into it. Without the outside patches that shadow is lost."""
     heights = np.zeros((100, 300), np.float32)
     heights[:, 40:45] = 300.0
     ridge = make_scene(write_raster(heights, ENGINEERING, 0, 1000, 10.0), 270, 12)
@@ -117,10 +117,10 @@ def test_a_dropped_caster_moves_interior_and_its_parts(gl, write_raster, make_sc
 
 
 @pytest.mark.parametrize("azimuth", [270.0, pytest.param(90.0, marks=pytest.mark.long)])
-def test_truth_of_a_wall_ends_where_the_closed_form_says(write_raster, make_scene, azimuth):
+def test_truth_of_a_wall_matches_the_closed_form(write_raster, make_scene, azimuth):
     """A 30 m wall's shadow at 30 degrees ends within a pixel (0.1 m) and a node of the grid (0.06 m) of h / tan(a)."""
     heights = np.zeros((21, 201), np.float32)
-    heights[:, 99:102] = 30.0  # its top reaches from x = 99.5 to 101.5
+    heights[:, 99:102] = 30.0  # the top reaches from x = 99.5 to 101.5
     wall = make_scene(write_raster(heights, ENGINEERING, 0, 21.0, 1.0), azimuth, 30.0)
     view = wall.view(bounds=(20, 9, 180, 11), size=(1600, 20))
     frame = render_points(wall, view, algorithm="truth")
@@ -132,8 +132,8 @@ def test_truth_of_a_wall_ends_where_the_closed_form_says(write_raster, make_scen
     np.testing.assert_allclose(ends, end, atol=0.17)
 
 
-def test_pixels_away_from_edges_are_decidable(real):
-    """Boundary pixels lie at edges: each has the other class within two pixels."""
+def test_truth_is_decidable_away_from_edges(real):
+    """Boundary pixels lie at edges: each has a pixel of the other class within two pixels."""
     from scipy.ndimage import binary_dilation
 
     near = binary_dilation(real.lit, iterations=2) & binary_dilation(~real.lit, iterations=2)
@@ -141,7 +141,7 @@ def test_pixels_away_from_edges_are_decidable(real):
     assert undecided.any() and (undecided & ~near).sum() <= 0.02 * undecided.sum() + 0.002 * real.valid.sum()
 
 
-def test_more_sub_samples_decide_less(scene, view, real):
+def test_truth_with_more_samples_decides_fewer_pixels(scene, view, real):
     finer = trace_truth(*_swap(scene, geometry(scene, view)), samples=16)
     np.testing.assert_array_equal(finer.lit, real.lit)
     assert finer.boundary >= real.boundary - 0.01
@@ -151,19 +151,19 @@ def test_more_sub_samples_decide_less(scene, view, real):
 
 @pytest.fixture(scope="module")
 def comparison(scene) -> Iterator[Comparison]:
-    """Every row measured once: times are no matter here."""
+    """Return every row measured once: times do not matter here."""
     x, y = scene.view().centre
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("skugga.selector.measure.compare.ROW_REPEATS", 0)
         yield compare(scene, scene.view(bounds=(x - 2000, y - 2000, x + 2000, y + 2000), size=(125, 125)))
 
 
-def test_the_noise_floor_is_far_below_the_errors(gl, comparison, usual):
+def test_noise_floor_is_far_below_the_errors(gl, comparison, usual):
     assert comparison.noise_floor < usual.wrong_cast / 3
     assert 0.0 < comparison.surface < 0.1
 
 
-def test_a_disc_of_directions_has_the_sun_s_size_and_middle():
+def test_sun_disc_has_the_suns_size_and_centre():
     to_sun = np.array([0.3, -0.4, 0.5]) / np.linalg.norm([0.3, -0.4, 0.5])
     directions = sun_disc(to_sun, 400)
     angles = np.degrees(np.arccos(np.clip(directions @ to_sun, -1, 1)))
@@ -171,7 +171,7 @@ def test_a_disc_of_directions_has_the_sun_s_size_and_middle():
     assert (angles < 0.265 / 2**0.5).mean() == pytest.approx(0.5, abs=0.02)  # equal areas
 
 
-def test_soft_truth_is_between_the_classes_and_hard_far_from_edges(scene, view, real):
+def test_soft_truth_is_soft_only_at_edges(scene, view, real):
     buffer, casters = geometry(scene, view)
     soft = soft_truth(buffer, scene, casters, samples=16)
     assert ((soft > 0) & (soft < 1)).mean() > 0.005
@@ -180,7 +180,7 @@ def test_soft_truth_is_between_the_classes_and_hard_far_from_edges(scene, view, 
     assert ((soft < 0.5) == ~real.lit)[real.decidable].mean() > 0.97
 
 
-def test_coverage_of_truth_by_itself_is_small(scene, view, real):
+def test_coverage_error_of_truth_is_small(scene, view, real):
     buffer, casters = geometry(scene, view)
     shares = coverage_truth(buffer, scene, casters, 16)
     assert np.isfinite(shares).sum() == 256
@@ -190,8 +190,8 @@ def test_coverage_of_truth_by_itself_is_small(scene, view, real):
 
 
 @pytest.mark.long
-def test_simplification_is_measured(scene):
-    """A grid of the raster's own detail loses little; one of eight times coarser nodes much."""
+def test_surface_error_of_simplified_ground(scene):
+    """A grid of the raster's own resolution loses little. One with nodes eight times coarser loses much."""
     results = {}
     for zoom in (9, 13):
         block = block_at(-84.25, 36.2933, zoom)
@@ -200,7 +200,7 @@ def test_simplification_is_measured(scene):
     assert results[13] < 0.02 < results[9]
 
 
-def test_compare_lists_candidates_and_marks_the_front(gl, comparison):
+def test_compare_lists_candidates_and_marks_the_pareto_front(gl, comparison):
     names = [row.figures["algorithm"]["sun"]["relief"] for row in comparison.rows]
     assert names.count("shadow_map") >= 8 and names.count("none") == 1 and "truth" not in names
     for row in comparison.rows:
@@ -227,7 +227,7 @@ def test_compare_lists_candidates_and_marks_the_front(gl, comparison):
         ((-84.25, 36.2933), (237, -5), "sun is down"),
     ],
 )
-def test_a_view_with_nothing_to_compare_says_so(gl, scene, place, sun, words):
+def test_compare_remarks_on_a_view_without_comparison(gl, scene, place, sun, words):
     elsewhere = scene.with_sun(SunSpec(azimuth=sun[0], altitude=sun[1]))
     block = block_at(*place, 12)
     comparison = compare(elsewhere, block)
@@ -236,5 +236,5 @@ def test_a_view_with_nothing_to_compare_says_so(gl, scene, place, sun, words):
         assert all(np.isfinite(value) for value in row.figures.values() if isinstance(value, float))
 
 
-def test_candidates_are_at_most_forty(scene, view):
+def test_candidates_number_at_most_forty(scene, view):
     assert 5 <= len(list(candidates(scene, view))) <= 40

@@ -1,4 +1,4 @@
-"""Edges of meshes: known counts, welding by place, and the parts that bound a body."""
+"""Edges of meshes: known counts, welding by position, and connected and closed parts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Mesh = tuple[np.ndarray, np.ndarray]
 
 
 def soup(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
-    """The same triangles without shared vertices."""
+    """Return the same triangles without shared vertices."""
     return np.asarray(vertices)[np.ravel(triangles)], np.arange(3 * len(triangles)).reshape(-1, 3)
 
 
@@ -24,7 +24,7 @@ def row_of_boxes(count: int) -> Mesh:
     return vertices, np.concatenate([box.faces + 8 * n for n in range(count)])
 
 
-def test_a_square_of_two_triangles_has_five_edges():
+def test_edges_of_a_square_of_two_triangles():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     edges = edges_of(vertices, np.array([[0, 1, 2], [2, 3, 0]]))
     assert edges.ends.tolist() == [[0, 1], [1, 2], [0, 2], [2, 3], [0, 3]]
@@ -36,7 +36,7 @@ def test_a_square_of_two_triangles_has_five_edges():
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_a_sphere_obeys_euler(shared: bool):
+def test_edges_of_a_sphere_obey_eulers_formula(shared: bool):
     sphere = trimesh.creation.icosphere(3)
     vertices, triangles = (sphere.vertices, sphere.faces) if shared else soup(sphere.vertices, sphere.faces)
     edges = edges_of(vertices, triangles)
@@ -46,9 +46,9 @@ def test_a_sphere_obeys_euler(shared: bool):
     assert not signed_sums(edges, np.ones(len(triangles))).any()
 
 
-def test_sides_lie_on_their_edges():
+def test_edges_coincide_with_triangle_sides():
     rng = np.random.default_rng(4)
-    vertices = rng.integers(0, 3, (60, 3)).astype(float)  # many in one place
+    vertices = rng.integers(0, 3, (60, 3)).astype(float)  # many vertices share a position
     triangles = rng.integers(0, 60, (200, 3))
     edges = edges_of(vertices, triangles)
     start, end = vertices[triangles], vertices[np.roll(triangles, -1, axis=1)]
@@ -61,7 +61,7 @@ def test_sides_lie_on_their_edges():
     assert len(np.unique(vertices[edges.ends].reshape(-1, 6), axis=0)) == len(edges.ends)
 
 
-def test_places_are_told_apart_as_float32_does():
+def test_edges_weld_positions_equal_in_float32():
     near = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 1e-50, 0], [1 + 1e-9, 0, 0], [0, -1, 0]])
     assert len(edges_of(near, np.array([[0, 1, 2], [4, 3, 5]])).ends) == 5
     near[4, 0] = np.nextafter(np.float32(1), np.float32(2))
@@ -69,12 +69,12 @@ def test_places_are_told_apart_as_float32_does():
 
 
 @pytest.mark.parametrize("wrong", [-1, 3])
-def test_a_vertex_that_is_not_there_is_named(wrong: int):
+def test_edges_name_an_invalid_vertex_number(wrong: int):
     with pytest.raises(InputError, match=rf"triangles: '{wrong}' is not allowed. Allowed: vertex numbers below 3"):
         edges_of(np.eye(3), np.array([[0, 1, wrong]]))
 
 
-def test_nothing_has_no_edges():
+def test_edges_of_empty_and_degenerate_meshes():
     edges = edges_of(np.zeros((0, 3)), np.zeros((0, 3), int))
     assert edges.ends.shape == (0, 2) and edges.of_triangle.shape == edges.along.shape == (0, 3)
     assert connected_parts(edges).shape == closed_parts(edges).shape == (0,)
@@ -83,7 +83,7 @@ def test_nothing_has_no_edges():
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_a_hole_opens_its_part_and_no_other(shared: bool):
+def test_hole_opens_only_its_part(shared: bool):
     vertices, triangles = row_of_boxes(3)
     whole = edges_of(*((vertices, triangles) if shared else soup(vertices, triangles)))
     assert connected_parts(whole).tolist() == np.repeat([0, 1, 2], 12).tolist()
@@ -93,13 +93,13 @@ def test_a_hole_opens_its_part_and_no_other(shared: bool):
     np.testing.assert_array_equal(closed_parts(holed), np.repeat([True, False, True], [12, 11, 12]))
 
 
-def test_a_flipped_triangle_opens_its_part():
+def test_flipped_triangle_opens_its_part():
     vertices, triangles = row_of_boxes(2)
     triangles[3] = triangles[3][::-1]
     np.testing.assert_array_equal(closed_parts(edges_of(vertices, triangles)), np.repeat([False, True], 12))
 
 
-def test_bodies_that_share_an_edge_are_one_closed_part():
+def test_bodies_with_a_shared_edge_are_one_closed_part():
     box = trimesh.creation.box()
     vertices = np.concatenate([box.vertices, box.vertices + [1.0, 1.0, 0.0]])
     edges = edges_of(vertices, np.concatenate([box.faces, box.faces + 8]))
@@ -107,7 +107,7 @@ def test_bodies_that_share_an_edge_are_one_closed_part():
     assert connected_parts(edges).max() == 0 and closed_parts(edges).all()
 
 
-def test_a_sheet_is_open():
+def test_sheet_is_open():
     row, col = np.mgrid[:5, :7].astype(float)
     sheet = sheet_of(np.stack([col, -row, row * col], axis=-1))
     edges = edges_of(sheet.position_frame_m.reshape(-1, 3), sheet.triangles)

@@ -1,4 +1,4 @@
-"""How many layers can cover a point: bounds that hold, and are close; batches; and what may cast on the near plane."""
+"""Layers of shadow volumes: valid and tight upper bounds, batches, and casters that may shade the near plane."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def boxes(size: float, offsets: np.ndarray) -> Mesh:
 
 
 def plates(count: int) -> Mesh:
-    """Squares on top of one another."""
+    """Return a stack of squares."""
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     return copies(square, np.array([[0, 1, 2], [2, 3, 0]]), np.arange(count)[:, None] * [0.0, 0.0, 0.125])
 
 
 def folded(count: int) -> Mesh:
-    """A strip folded to and fro, ``count`` layers thick, in one piece."""
+    """Return a strip folded back and forth, ``count`` layers thick, in one piece."""
     n = np.arange(count + 1)
     side = np.stack([n % 2, 0.0 * n, 0.1 * n], axis=-1)
     vertices = np.concatenate([side, side + [0.0, 1.0, 0.0]])
@@ -54,7 +54,7 @@ def cast(mesh: Mesh, light: np.ndarray, rule: str = "facing") -> Silhouette:
 
 
 def covered(points: np.ndarray, vertices: np.ndarray, caps: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """How many triangles cover each point (n, 3) as seen from a light, whatever their distance."""
+    """Return how many triangles cover each point (n, 3) as seen from a light, at any distance."""
     corners = np.asarray(vertices, np.float32).astype(float)[caps]
     to_light = light[:3] - light[3] * points
     if light[3]:
@@ -69,15 +69,15 @@ def covered(points: np.ndarray, vertices: np.ndarray, caps: np.ndarray, light: n
 
 @pytest.mark.parametrize("light", LIGHTS, ids=str)
 @pytest.mark.parametrize("seed", range(8))
-def test_nothing_is_covered_more_often(light: np.ndarray, seed: int):
-    """Soups of few large and of many small triangles, all sorts of things between, and where they are densest."""
+def test_max_layers_is_an_upper_bound(light: np.ndarray, seed: int):
+    """Soups have few large or many small triangles, and the points include the densest places."""
     rng = np.random.default_rng(seed)
     count = int(rng.choice([1, 3, 20, 150]))
     middle = rng.uniform(-1, 1, (count, 1, 3))
     vertices = (middle + rng.choice([0.2, 1.0]) * rng.uniform(-1, 1, (count, 3, 3))).reshape(-1, 3)
     triangles = np.arange(3 * count).reshape(-1, 3)
     if seed % 2:
-        triangles = rng.permuted(triangles.ravel()).reshape(-1, 3) % max(count, 3)  # shared vertices
+        triangles = rng.permuted(triangles.ravel()).reshape(-1, 3) % max(count, 3)  # with shared vertices
     for rule in FACING_RULE_CODES:
         bound = cast((vertices, triangles), light, rule)
         points = np.concatenate([rng.uniform(-2, 2, (1000, 3)), vertices[triangles].mean(axis=1)])
@@ -86,7 +86,7 @@ def test_nothing_is_covered_more_often(light: np.ndarray, seed: int):
 
 
 @pytest.mark.parametrize("light", LIGHTS, ids=str)
-def test_one_convex_body_is_one_layer(light: np.ndarray):
+def test_max_layers_of_a_convex_body_is_one(light: np.ndarray):
     ball = trimesh.creation.icosphere(3, 0.3)
     for middle in ([0.0, 0.0, -1.5], [0.4, -2.0, 0.1]):
         assert max_layers(ball.vertices + middle, cast((ball.vertices + middle, ball.faces), light), light) == 1
@@ -94,7 +94,7 @@ def test_one_convex_body_is_one_layer(light: np.ndarray):
 
 @pytest.mark.parametrize("lamp", [np.array([0.2, 0.1, -0.3, 1.0]), np.array([0.0, 0.0, 0.1, 1.0])], ids=str)
 @pytest.mark.parametrize("shells", [1, 2, 5])
-def test_a_lamp_in_shells_is_covered_all_round(lamp: np.ndarray, shells: int):
+def test_max_layers_of_a_lamp_in_shells(lamp: np.ndarray, shells: int):
     ball = trimesh.creation.icosphere(2)
     vertices, triangles = copies(np.asarray(ball.vertices), np.asarray(ball.faces), np.zeros((shells, 3)))
     vertices *= np.repeat(1.0 + np.arange(shells), len(ball.vertices))[:, None]
@@ -103,8 +103,8 @@ def test_a_lamp_in_shells_is_covered_all_round(lamp: np.ndarray, shells: int):
     assert max_layers(vertices, cast(opened, lamp), lamp) == 0
 
 
-def test_what_no_axis_passes_clear_of_is_bounded_by_its_triangles():
-    """A lamp on a corner, which lies in no direction from there."""
+def test_max_layers_of_a_lamp_on_a_corner():
+    """No axis clears the mesh, since the lamp lies in no direction from the corner. The bound is the number of triangles."""
     vertices, triangles = plates(5)
     lamp = np.append(vertices[-1], 1.0)
     bound = cast((vertices, triangles), lamp, "all")
@@ -113,12 +113,12 @@ def test_what_no_axis_passes_clear_of_is_bounded_by_its_triangles():
 
 @pytest.mark.parametrize("count", [1, 7, 40])
 @pytest.mark.parametrize("light", [OVERHEAD, np.array([0.0, 0.0, 900.0, 1.0])], ids=str)
-def test_a_stack_is_as_many_layers_as_boxes(light: np.ndarray, count: int):
+def test_max_layers_of_a_stack_is_its_number_of_boxes(light: np.ndarray, count: int):
     stack = boxes(1.0, np.arange(count)[:, None] * [0.0, 0.0, 1.5])
     assert max_layers(stack[0], cast(stack, light), light) == count
 
 
-def test_a_wave_is_one_layer_a_crest():
+def test_max_layers_of_a_wave_is_its_number_of_crests():
     x, y = np.meshgrid(np.linspace(0, 10, 201), np.linspace(0, 4, 40))
     position = np.stack([x, -y, 0.5 * np.sin(2 * np.pi * x)], axis=-1)
     position[3, 40] = np.nan
@@ -129,7 +129,7 @@ def test_a_wave_is_one_layer_a_crest():
 
 @pytest.mark.parametrize("light", [np.array([0.6, 0.5, 0.4, 0.0]), np.array([1.0, 1, 1, 0]), np.array([30.0, 20, 15, 1]),
                                    np.array([4.5, 4.5, 4.5, 1]), OVERHEAD], ids=str)  # fmt: skip
-def test_a_thousand_boxes_fit_a_stencil(light: np.ndarray):
+def test_max_layers_of_a_thousand_boxes_fits_the_stencil(light: np.ndarray):
     rng = np.random.default_rng(1)
     mesh = boxes(0.6, np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3))
     bound = cast(mesh, light)
@@ -139,7 +139,7 @@ def test_a_thousand_boxes_fit_a_stencil(light: np.ndarray):
     assert len(batches(*mesh, edges_of(*mesh), turns_of(facing(*mesh, light), "facing"), light)) == 1
 
 
-def test_rough_ground_at_low_sun_fits_a_stencil():
+def test_max_layers_of_rough_ground_fits_the_stencil():
     rng = np.random.default_rng(3)
     row, col = np.mgrid[:200, :200]
     position = np.stack([10.0 * col, -10.0 * row, rng.normal(0.0, 3.0, row.shape)], axis=-1)
@@ -150,7 +150,7 @@ def test_rough_ground_at_low_sun_fits_a_stencil():
 
 
 @pytest.mark.parametrize("mesh", [plates(300), plates(600), folded(300), folded(600)], ids=["plates", "more", "folded", "longer"])
-def test_batches_fit_and_are_everything(mesh: Mesh):
+def test_batches_fit_the_stencil_and_partition_the_mesh(mesh: Mesh):
     vertices, triangles = mesh
     edges, turns = edges_of(vertices, triangles), turns_of(facing(vertices, triangles, OVERHEAD), "all")
     layers = len(triangles) // 2
@@ -164,7 +164,7 @@ def test_batches_fit_and_are_everything(mesh: Mesh):
     assert len(batches(vertices, triangles, edges, turns, OVERHEAD, 1)) >= layers
 
 
-def test_plates_stay_whole():
+def test_batches_keep_plates_whole():
     vertices, triangles = plates(300)
     edges, turns = edges_of(vertices, triangles), turns_of(facing(vertices, triangles, OVERHEAD), "all")
     groups = batches(vertices, triangles, edges, turns, OVERHEAD, 100)
@@ -173,7 +173,7 @@ def test_plates_stay_whole():
     assert all(before.min() > after.max() for before, after in zip(heights, heights[1:], strict=False))  # from the light on
 
 
-def test_nothing_is_no_layer():
+def test_max_layers_of_no_caster_is_zero():
     row, col = np.mgrid[:3, :3].astype(float)
     position = np.stack([col, -row, 0.0 * row], axis=-1)
     none = sheet_silhouette(sheet_of(position), OVERHEAD, "turned_away")
@@ -183,7 +183,7 @@ def test_nothing_is_no_layer():
     assert not group.any()
 
 
-def test_no_layers_at_all_are_too_few():
+def test_batches_refuse_zero_layers():
     vertices, triangles = plates(2)
     with pytest.raises(InputError, match="most: '0' is not allowed. Allowed: 1 or more"):
         batches(vertices, triangles, edges_of(vertices, triangles), np.ones(4, np.int8), OVERHEAD, 0)
@@ -198,7 +198,7 @@ POINT = st.tuples(NUMBER, NUMBER, NUMBER).map(np.array)
     is_lamp=st.booleans(), share=st.tuples(*[st.floats(0, 1)] * 3), size=st.tuples(*[st.floats(0, 2)] * 3),
     corner=st.tuples(*[st.floats(0, 1)] * 3),
 )  # fmt: skip
-def test_what_lies_between_the_near_plane_and_the_light_is_found(middle, turns, width, height, light, is_lamp, share, size, corner):
+def test_may_shade_near_finds_casters_towards_the_light(middle, turns, width, height, light, is_lamp, share, size, corner):
     turned = trimesh.transformations.euler_matrix(*turns)[:3, :3]
     corners = np.array([[-width, -height], [width, -height], [width, height], [-width, height]])
     rectangle = middle + corners @ turned[:2]
@@ -210,7 +210,7 @@ def test_what_lies_between_the_near_plane_and_the_light_is_found(middle, turns, 
     assert may_shade_near(low[None], (low + size)[None], rectangle, light).all()
 
 
-def test_what_lies_elsewhere_is_not():
+def test_may_shade_near_excludes_other_casters():
     rectangle = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     middle = np.array([[0, 0, 5], [0, 0, -5], [5, 0, 0.5], [5, 0, 5], [0, -9, 5], [4, 4, 20]], float)
     low, high = middle - 0.4, middle + 0.4
@@ -222,7 +222,7 @@ def test_what_lies_elsewhere_is_not():
     assert may_shade_near(low[:0], high[:0], rectangle, up).shape == (0,)
 
 
-def test_a_light_in_the_near_plane_tells_nothing_apart():
+def test_may_shade_near_of_a_light_in_the_near_plane():
     rectangle = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     low, high = np.array([[50.0, 50, -50]]), np.array([[51.0, 51, -49]])
     for degrees, found in ((0.0, True), (0.09, True), (-0.09, True), (0.11, False), (-0.11, False)):

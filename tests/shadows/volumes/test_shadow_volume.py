@@ -1,4 +1,4 @@
-"""Shadow volumes beside truth, whatever casts, wherever the eye and the light are; and each way of counting like the others."""
+"""Shadow volumes: agreement with truth for any caster, eye and light, and between the ways of counting."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ THESIS = [f"thesis_{name}{suffix}" for name in ("boxgrid", "rocks", "street", "r
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What is seen of a scene, what may cast on it, and a light."""
+    """The visible points of a scene, their casters, and a light."""
 
     scene: Scene
     buffer: GeometryBuffer
@@ -63,7 +63,7 @@ class Look:
     light: str
 
     def seen(self, mask: str | None = None, log: PassLog | None = None, **settings: Any) -> np.ndarray:
-        """Visibility by volumes, or with ``mask`` by the hybrid: attached shadow is dark, NaN where there is no surface."""
+        """Return visibility by volumes, or with ``mask`` by the hybrid. Attached shadow is dark; NaN marks no surface."""
         buffer = receivers_of(self.buffer, self.scene, self.light)
         kinds, log = tuple(k for k in self.scene.objects.kinds if k != "forest"), log or PassLog()
         if mask is None:
@@ -80,7 +80,7 @@ class Look:
         return np.where(self.buffer.valid, out, np.nan)
 
     def rays(self) -> np.ndarray:
-        """Visibility by rays from the very points, as ``seen``."""
+        """Return visibility by rays from the same points, in the form of ``seen``."""
         kinds, log = self.scene.objects.kinds, PassLog()
         return self.finished(truth_fill(self.buffer, self.scene, self.light, kinds, self.casters, TruthSettings(), log))
 
@@ -94,13 +94,13 @@ def look(scene: Scene, view: View | None = None) -> Look:
 
 
 def eye(at: Any, target: Any, fov: float = 60.0, size: tuple[int, int] = (120, 90)) -> dict[str, Any]:
-    """The views of a level that is seen by one eye."""
+    """Return the views of a level with one eye."""
     spec = {"kind": "perspective", "eye": list(at), "target": list(target), "fov": fov, "size": list(size)}
     return {"views": {"eye": spec}}
 
 
 BEHIND = eye((12, 25, 6), (0, 3, 0.5))
-"""Where the shadows of things at the middle fall: the lights are in the south."""
+"""A view of the shadows of objects at the middle: the lights are in the south."""
 
 
 def above(scene: Scene, half_m: float = 15.0, px: int = 120) -> View:
@@ -108,7 +108,7 @@ def above(scene: Scene, half_m: float = 15.0, px: int = 120) -> View:
 
 
 def check(at: Look, least_dark: float = 0.0, real: Truth | None = None) -> tuple[np.ndarray, ErrorMetrics]:
-    """Volumes beside truth, and each way of counting beside the others: not a pixel differs."""
+    """Check volumes against truth, and that all ways of counting give the same pixels."""
     found, real = at.seen(), real or at.truth()
     errors = error_metrics(found, real, 1.0)
     assert errors.wrong <= 5e-4 and errors.wrong_cast <= 3e-3 and errors.interior == 0.0, errors
@@ -122,7 +122,7 @@ def check(at: Look, least_dark: float = 0.0, real: Truth | None = None) -> tuple
 
 
 def slabs(window: bool) -> trimesh.Trimesh:
-    """A hollow room of walls 0.3 m thick, 10 by 8 by 6 m, with a window in the north if it has one."""
+    """Return a hollow room with walls 0.3 m thick, 10 by 8 by 6 m, optionally with a window in the north."""
     parts = [
         box((10, 8, 0.3)), box((10, 8, 0.3), 5.7), box((0.3, 8, 5.4), 0.3, (-4.85, 0)), box((0.3, 8, 5.4), 0.3, (4.85, 0)),
         box((9.4, 0.3, 5.4), 0.3, (0, -3.85)),
@@ -148,26 +148,28 @@ BODIES = {
 }  # fmt: skip
 
 
-# -- beside truth
+# -- against truth
 
 
 BUNDLED = [*((name, "main") for name in THESIS), ("thesis_street_sun", "map")]
 IN_SECONDS = ("thesis_street_sun", "map"), ("thesis_room", "main"), ("thesis_rocks_sun", "main"), ("thesis_street_sun", "main")
-"""Of the bundled scenes these are looked at wherever tests run: both kinds of light, open and closed meshes, a map."""
+"""Bundled scenes that run in every test run: both kinds of light, open and closed meshes, and a map."""
 
 
 @lru_cache(maxsize=12)
 def thesis(name: str, view: str = "main") -> tuple[Look, Truth]:
-    """A bundled scene, small, and its truth."""
+    """Return a small picture of a bundled scene, and its truth."""
     scene = build_scene(load_level(f"configs/{name}.yaml"))
     at = look(scene, scene.view(view, size=(320, 256) if view == "main" else (160, 160)))
     return at, at.truth()
 
 
 @pytest.mark.parametrize(("name", "view"), quick(BUNDLED, *IN_SECONDS))
-def test_the_bundled_scenes_are_as_rays_see_them(gl, name, view):
-    """Measured: at most 0.009 % of the decidable pixels. One of 50,000 may lie in a gap between two shadows that is narrower than
-    the rasteriser's grid."""
+def test_volumes_match_truth_in_bundled_scenes(gl, name, view):
+    """Measured: at most 0.009 % of the decidable pixels differ.
+
+    One of 50,000 may lie in a gap between two shadows that is narrower than the rasteriser's grid.
+    """
     at, real = thesis(name, view)
     found = at.seen()
     errors = error_metrics(found, real, 1.0)
@@ -177,37 +179,40 @@ def test_the_bundled_scenes_are_as_rays_see_them(gl, name, view):
         np.testing.assert_array_equal(at.seen(**way), found, err_msg=str(way))
 
 
-# Under the sun and a spot, and for every algorithm: tests/hard_cases. An omni light stands nearer.
+# tests/hard_cases has the sun and a spot, and all algorithms. An omni light stands nearer.
 @pytest.mark.parametrize("name", [*OPEN, *BODIES])
-def test_bodies_round_an_omni_light(gl, tmp_path, name):
-    """What is open casts from both sides, by the multiplicity of its edges; what touches or holds another casts with it."""
+def test_volumes_of_bodies_under_an_omni_light_match_truth(gl, tmp_path, name):
+    """Open meshes cast from both sides, by the multiplicity of their edges.
+
+    Bodies that touch or contain another one cast together.
+    """
     scene = level_of(tmp_path, [(OPEN | BODIES)[name]], 200, 35, **BEHIND, **LIGHTS["omni"])
     check(look(scene), least_dark=0.01)
     check(look(scene, above(scene, px=60)), least_dark=0.005)
 
 
 @pytest.mark.parametrize("where", EYES)
-def test_wherever_the_eye_is_under_an_omni_light(gl, tmp_path, where):
-    """In a volume, in what casts, in a cap's plane: z-pass and z-fail together, and z-fail alone."""
+def test_volumes_for_any_eye_under_an_omni_light_match_truth(gl, tmp_path, where):
+    """The eye is in a volume, in a caster, or in a cap's plane: z-pass and z-fail together, and z-fail alone."""
     check(under_an_omni_light(tmp_path, where))
 
 
 def under_an_omni_light(tmp_path: Path, where: str) -> Look:
-    """What an eye sees of a house."""
+    """Return the view of a house from an eye position."""
     spec = {**EYES[where], "size": [120, 90]}
     return look(level_of(tmp_path, [box((8, 6, 5))], 200, 35, views={"eye": spec}, **LIGHTS["omni"]))
 
 
-# The eye is in the plate's shadow, but the near plane, half-way to what is nearest, is not.
+# The eye is in the plate's shadow. The near plane, half-way to the nearest surface, is not.
 @pytest.mark.parametrize("light", ["spot", "omni"])
-def test_an_eye_in_a_shadow_that_does_not_reach_the_near_plane(gl, tmp_path, light):
+def test_volumes_for_an_eye_in_a_small_shadow_match_truth(gl, tmp_path, light):
     body = joined(box((8, 6, 5)), box((0.3, 0.3, 0.01), 6.1, (10, 20)))
     scene = level_of(tmp_path, [body], 200, 35, **eye((10, 20, 6.05), (0, 2, 0)), **LIGHTS[light])
     check(look(scene), least_dark=0.01)
 
 
 @pytest.mark.parametrize("light", LIGHTS)
-def test_a_room_whose_faces_are_turned_inwards_is_dark(gl, tmp_path, light):
+def test_volumes_of_a_room_with_inward_faces_are_dark(gl, tmp_path, light):
     scene = level_of(tmp_path, [inside_out(box((8, 6, 5)))], 200, 35, **eye((0.3, 0.2, 2), (1, 5, 1), fov=100), **LIGHTS[light])
     check(look(scene), least_dark=0.5)
 
@@ -217,15 +222,15 @@ def test_a_room_whose_faces_are_turned_inwards_is_dark(gl, tmp_path, light):
 
 @pytest.mark.parametrize("altitude", [0.5, 2.0, 60.0, 89.999, 90.0])
 @pytest.mark.parametrize("azimuth", [180.0, 205.0])
-def test_suns_from_the_horizon_to_the_zenith(gl, tmp_path, azimuth, altitude):
-    """Long volumes; and faces that the sun exactly grazes: of the box, of the plane through its roof."""
+def test_volumes_under_suns_of_all_altitudes_match_truth(gl, tmp_path, azimuth, altitude):
+    """Low suns cast long volumes. Some suns exactly graze faces of the box, or of the plane through its roof."""
     scene = level_of(tmp_path, [box((8, 6, 5))], azimuth, altitude, **BEHIND)
     check(look(scene), least_dark=0.03 if altitude <= 2.0 else 0.0)
 
 
 @pytest.mark.parametrize("way", [20.0, -20.0])
-def test_the_sun_in_the_view_s_axis(gl, tmp_path, way):
-    """Exactly behind the eye, where nothing in shadow is seen, and exactly ahead."""
+def test_volumes_with_the_sun_in_the_view_axis_match_truth(gl, tmp_path, way):
+    """The sun is exactly behind the eye, where no shadow is visible, or exactly ahead."""
     turn, rise = np.radians([200.0, 35.0])
     to_sun = np.array([np.sin(turn) * np.cos(rise), np.cos(turn) * np.cos(rise), np.sin(rise)])
     start = np.array([0.0, 0.0, 2.0]) + way * to_sun if way > 0 else np.array([0.0, 6.0, 1.0])
@@ -235,21 +240,21 @@ def test_the_sun_in_the_view_s_axis(gl, tmp_path, way):
 
 
 @pytest.mark.parametrize("altitude", [2.0, 35.0])
-def test_far_casters_behind_the_eye(gl, tmp_path, altitude):
+def test_volumes_of_far_casters_behind_the_eye_match_truth(gl, tmp_path, altitude):
     towers = joined(box((2, 2, 25), at_m=(-5, -40)), box((3, 3, 9), at_m=(-22, -90)), box((0.2, 0.2, 6), at_m=(0, 4)))
     scene = level_of(tmp_path, [towers], 195, altitude, **eye((2, -10, 3), (3, 20, 0)))
     check(look(scene), least_dark=0.03)
 
 
 def shell(height_m: float) -> trimesh.Trimesh:
-    """The open mantle of a cylinder round (0, 0)."""
+    """Return the open lateral surface of a cylinder around (0, 0)."""
     tube = trimesh.creation.cylinder(1.5, 2.0, sections=24)
     tube.apply_translation([0.0, 0.0, height_m])
     return without(tube, np.flatnonzero(np.abs(tube.face_normals[:, 2]) > 0.5))
 
 
 def ring(height_m: float) -> trimesh.Trimesh:
-    """The same with a thickness: a closed body."""
+    """Return the same surface with a thickness: a closed body."""
     tube = trimesh.creation.annulus(1.3, 1.5, 2.0, sections=24)
     tube.apply_translation([0.0, 0.0, height_m])
     return tube
@@ -273,7 +278,7 @@ LAMPS: dict[str, tuple[trimesh.Trimesh, tuple[float, float, float], dict[str, An
 
 @pytest.mark.parametrize("where", LAMPS)
 @pytest.mark.parametrize("kind", ["omni", "spot"])
-def test_wherever_the_lamp_is(gl, tmp_path, where, kind):
+def test_volumes_for_any_lamp_position_match_truth(gl, tmp_path, where, kind):
     body, place, view = LAMPS[where]
     lamp = {"kind": kind, "position": place} | ({"target": [0, 9, 0], "cutoff": 80} if kind == "spot" else {})
     scene = level_of(tmp_path, [body], 0, 0, **view, sun="none", lights={"lamp": lamp})
@@ -281,16 +286,16 @@ def test_wherever_the_lamp_is(gl, tmp_path, where, kind):
 
 
 @pytest.mark.parametrize("where", ["under a roof", "lower than what casts", "in a closed room, from outside", "in a shade"])
-def test_a_map_of_what_reaches_above_the_lamp(gl, tmp_path, where):
+def test_volumes_of_casters_above_the_lamp_in_a_map(gl, tmp_path, where):
     body, place, _ = LAMPS[where]
     scene = level_of(tmp_path, [body], 0, 0, sun="none", lights={"lamp": {"kind": "omni", "position": place}})
     check(look(scene, above(scene, 20.0, 60)), least_dark=0.1)
 
 
-# Rays end in the very wall, so that truth knows nothing of what lies before it.
-def test_a_lamp_on_a_body_s_surface(gl, tmp_path):
-    """A wall lamp whose place is the wall's plane: what is behind the wall is dark."""
-    wall = box((8, 0.5, 5), at_m=(0, 3.25))  # its southern side is y = 3
+# Rays end in the wall itself, so truth cannot decide the points before it.
+def test_volumes_of_a_lamp_on_a_wall(gl, tmp_path):
+    """The lamp lies in the wall's plane, and points behind the wall are dark."""
+    wall = box((8, 0.5, 5), at_m=(0, 3.25))  # the southern side is y = 3
     scene = level_of(tmp_path, [wall], 0, 0, **BEHIND, sun="none", lights={"lamp": {"kind": "omni", "position": [0.4, 3.0, 4.0]}})
     at = look(scene)
     y = at.buffer.position_frame_m[..., 1]
@@ -303,8 +308,8 @@ def test_a_lamp_on_a_body_s_surface(gl, tmp_path):
 # -- many layers
 
 
-def test_a_stack_of_bodies_is_counted_either_way(gl, tmp_path):
-    """Plates with a thickness, each a body of its own, so that some are counted by z-pass and some by z-fail."""
+def test_volumes_of_a_stack_are_counted_by_either_way(gl, tmp_path):
+    """Each plate has a thickness and is a separate body, so z-pass counts some and z-fail others."""
     body = joined(*(box((6, 6, 0.02), 1.0 + 0.05 * n) for n in range(150)))
     scene = level_of(tmp_path, [body], 180, 75, **eye((4, 6, 1.2), (0, 0, 0.2)))
     at = look(scene)
@@ -326,7 +331,7 @@ def by_sweep(at: Look) -> np.ndarray:
 
 
 def check_ground(at: Look) -> None:
-    """Volumes beside truth, and beside the sweep."""
+    """Check volumes against truth and against the sweep."""
     found, real = at.seen(), at.truth()
     errors = error_metrics(found, real, 20.0)
     assert errors.wrong <= 5e-4 and errors.wrong_cast <= 3e-3 and errors.interior == 0.0, errors
@@ -334,8 +339,8 @@ def check_ground(at: Look) -> None:
 
 
 @pytest.mark.parametrize("altitude", [30.0, 10.0, 3.0])
-def test_ridges_are_as_the_sweep_sees_them(gl, tmp_path, altitude):
-    """In perspective and in a map of a flat world; measured: the same in every decidable pixel."""
+def test_volumes_of_ridges_match_truth_and_sweep(gl, tmp_path, altitude):
+    """The views are a perspective view and a map of a flat world. Measured: the same in every decidable pixel."""
     path = tmp_path / "ridges.yaml"
     keys = {"version": 1, "terrain": RIDGES, "sun": {"azimuth": 113, "altitude": altitude}}
     path.write_text(json.dumps(keys | eye((-600, -650, 150), (0, 0, 50))), encoding="utf-8")
@@ -348,13 +353,13 @@ def test_ridges_are_as_the_sweep_sees_them(gl, tmp_path, altitude):
 
 
 @pytest.mark.parametrize("altitude", [30.0, 10.0, 3.0])
-def test_a_tile_of_a_curved_earth_is_as_the_sweep_sees_it(gl, altitude):
+def test_volumes_of_a_curved_earth_match_truth_and_sweep(gl, altitude):
     scene = build_scene(load_level("configs/jacksboro.yaml")).with_sun(SunSpec(azimuth=67, altitude=altitude))
     check_ground(look(scene, block_at(-84.25, 36.2933, 12).part(273, 300, 80, 80)))
 
 
 def holed(write_raster, make_scene, azimuth: float, rows: slice) -> Scene:
-    """Waves without data in some rows of a strip through the middle."""
+    """Return waves without data in some rows of a strip through the middle."""
     row, col = np.mgrid[:60, :60]
     heights = (60.0 * np.sin(row / 7.0) * np.cos(col / 6.0) + 60.0).astype(np.float32)
     heights[rows, 26:32] = -9999.0
@@ -367,8 +372,8 @@ INNER, TO_THE_RIM = slice(24, 34), slice(0, 34)
 
 @pytest.mark.parametrize("azimuth", [100.0, 280.0])
 @pytest.mark.parametrize("gap", [INNER, TO_THE_RIM], ids=["inner", "to the rim"])
-def test_a_map_of_ground_with_a_gap(gl, write_raster, make_scene, azimuth, gap):
-    """What has no data is no wall and no pit; in a map the ground that casts goes on below it."""
+def test_volumes_of_ground_with_a_gap_in_a_map(gl, write_raster, make_scene, azimuth, gap):
+    """A hole is neither a wall nor a pit. In a map, the casting ground continues below it."""
     scene = holed(write_raster, make_scene, azimuth, gap)
     at = look(scene, above(scene, 200.0, 50))
     check(at, least_dark=0.05)
@@ -376,8 +381,8 @@ def test_a_map_of_ground_with_a_gap(gl, write_raster, make_scene, azimuth, gap):
 
 
 @pytest.mark.parametrize("gap", [INNER, TO_THE_RIM], ids=["inner", "to the rim"])
-def test_a_perspective_view_of_ground_with_a_gap(gl, write_raster, make_scene, gap):
-    """Through a bay of the rim the underside of the ground is seen: it is in the volume, and dark. Rays begin above it."""
+def test_volumes_of_ground_with_a_gap_in_perspective(gl, write_raster, make_scene, gap):
+    """Through a bay of the rim the underside of the ground is visible. It is inside the volume, and dark; rays start above it."""
     at = look(holed(write_raster, make_scene, 280.0, gap))
     below, real = from_below(at.buffer), at.truth()
     found, _ = check(at, least_dark=0.05, real=replace(real, decidable=real.decidable & ~below))
@@ -385,9 +390,9 @@ def test_a_perspective_view_of_ground_with_a_gap(gl, write_raster, make_scene, g
 
 
 def from_below(buffer: GeometryBuffer) -> np.ndarray:
-    """Where a camera sees triangles from behind, counter-clockwise as they are from above, bool (rows, cols).
+    """Return where a camera sees back faces of triangles that are counter-clockwise from above, bool (rows, cols).
 
-    Not those that it sees nearly edge-on: along a ridge's outline the rasteriser's rounding shows one of the far side now and then.
+    Nearly edge-on triangles are excluded: along a ridge's outline the rasteriser's rounding sometimes shows one of the far side.
     """
     assert isinstance(buffer.view, PerspectiveView) and buffer.corners_frame_m is not None
     a, b, c = np.moveaxis(buffer.corners_frame_m.reshape(*buffer.valid.shape, 3, 3), 2, 0)
@@ -397,11 +402,11 @@ def from_below(buffer: GeometryBuffer) -> np.ndarray:
     return buffer.valid & (sine > 0.1)
 
 
-# -- kept
+# -- cache
 
 
 def kept(at: Look, mask: str | None = None) -> tuple[int, int]:
-    """How many volumes a frame found, and the edges of all of its silhouettes."""
+    """Return the number of cached volumes of a frame, and the number of edges of all its silhouettes."""
     log = PassLog()
     at.seen(mask, log)
     record = next(record for name, record in log.records.items() if name.endswith("silhouettes"))
@@ -409,8 +414,8 @@ def kept(at: Look, mask: str | None = None) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize("mask", [None, "conservative"])
-def test_volumes_are_kept_while_sun_and_casters_rest(gl, tmp_path, mask):
-    """Whatever the eye does; they are made anew when the sun or a caster moves, for another frame, and once forgotten."""
+def test_volumes_are_cached_while_sun_and_casters_rest(gl, tmp_path, mask):
+    """Moving the eye keeps them. They are built again if the sun or a caster moves, for another frame, and with empty caches."""
     views = {
         name: eye((x, 25, 6), (x - 12, 3, 0.5), size=(60, 40))["views"]["eye"]
         for name, x in (("eye", 12), ("near", 14), ("far", 90_000))
@@ -442,8 +447,8 @@ def test_volumes_are_kept_while_sun_and_casters_rest(gl, tmp_path, mask):
 
 @pytest.mark.parametrize("mask", [None, "conservative", "original"])
 @pytest.mark.parametrize("light", LIGHTS)
-def test_samples_of_a_pixel_are_counted_where_they_lie(gl, tmp_path, light, mask):
-    """The rows of samples below the picture's own, against rays from their own points."""
+def test_volumes_at_samples_match_rays_from_their_points(gl, tmp_path, light, mask):
+    """The rows of samples lie below the picture's own rows."""
     posts = joined(*(box((2, 2, 5), at_m=(x, y)) for x in (-9, -3, 3, 9) for y in (-6, 0, 6)))
     scene = level_of(tmp_path, [posts], 200, 35, **BEHIND, **LIGHTS[light])
     buffer = multisampled(scene, scene.view("eye")).buffer
@@ -455,5 +460,5 @@ def test_samples_of_a_pixel_are_counted_where_they_lie(gl, tmp_path, light, mask
     samples[:own] = False
     dark = (real[samples] < 0.5).sum()
     assert dark > 200 and dark < 0.95 * samples.sum()
-    # rays and rasteriser differ by 1/256 pixel, at points that all lie where something ends
+    # rays and rasteriser differ by 1/256 pixel, and all samples lie at edges
     assert (found != real)[samples].sum() <= 0.01 * dark

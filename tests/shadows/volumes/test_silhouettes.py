@@ -1,4 +1,4 @@
-"""Silhouettes: the volumes they bound count what rays to the light meet, whatever casts, whichever triangles do."""
+"""Silhouettes: their volumes count the triangles that rays to the light meet, for any mesh and any set of casting triangles."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ def soup(rng: np.random.Generator) -> Mesh:
 
 
 def tangle(rng: np.random.Generator) -> Mesh:
-    """Triangles of few vertices, so that many share an edge, whichever way round, and some are there twice."""
+    """Return triangles of few vertices: many share an edge in either direction, and some are duplicates."""
     triangles = np.stack([rng.choice(9, 3, replace=False) for _ in range(60)])
     return rng.uniform(-1, 1, (9, 3)), np.concatenate([triangles, triangles[:5]])
 
 
 def fan(rng: np.random.Generator) -> Mesh:
-    """Five triangles round one edge."""
+    """Return five triangles around one edge."""
     vertices = np.concatenate([[[0, 0, -0.8], [0.1, 0, 0.9]], rng.uniform(-1, 1, (5, 3))])
     return vertices, np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [0, 1, 5], [1, 0, 6]])
 
 
 def ground(rng: np.random.Generator, side: int = 9) -> np.ndarray:
-    """Rough ground (side, side, 3) over [-1, 1] x [-1, 1]."""
+    """Return rough ground (side, side, 3) over [-1, 1] x [-1, 1]."""
     row, col = np.mgrid[:side, :side] / (side - 1.0)
     return np.stack([2 * col - 1, 1 - 2 * row, rng.uniform(-0.3, 0.3, row.shape)], axis=-1)
 
@@ -66,7 +66,7 @@ def holed(rng: np.random.Generator) -> Mesh:
 
 
 def bodies(rng: np.random.Generator) -> Mesh:
-    """A torus, a box and a ball that reach into one another."""
+    """Return a torus, a box and a ball that intersect."""
     parts = [
         trimesh.creation.torus(0.7, 0.2, major_sections=14, minor_sections=8),
         trimesh.creation.box(extents=(0.5, 0.4, 1.1)), trimesh.creation.icosphere(1, 0.35),
@@ -82,13 +82,14 @@ CASTERS = [soup, tangle, fan, sheet, holed, bodies]
 
 
 def drawn(vertices: np.ndarray) -> np.ndarray:
-    """The vertices as they are drawn, in float64."""
+    """Return the vertices as drawn, rounded to float32, in float64."""
     return np.asarray(vertices, np.float32).astype(np.float64)
 
 
 def crossings(start: np.ndarray, way: np.ndarray, o: np.ndarray, p: np.ndarray, q: np.ndarray) -> tuple:
-    """Where rays from (n, 3) along (n, 3) meet planes o + s p + t q (m, 3 each): distance, s, t (n, m) each, in ``way``s
-    (Moeller and Trumbore 1997).
+    """Return where rays from (n, 3) along (n, 3) meet planes o + s p + t q (m, 3 each).
+
+    The result is distance, s, t and slope (n, m) each, with distances in units of ``way`` (Moeller and Trumbore 1997).
     """
     normal = np.cross(p, q)
     away = o[None] - start[:, None]
@@ -102,20 +103,20 @@ def crossings(start: np.ndarray, way: np.ndarray, o: np.ndarray, p: np.ndarray, 
 
 
 def hits(start: np.ndarray, way: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which rays (n, 3) meet which triangles (m, 3, 3), bool (n, m); and after how many of their ways."""
+    """Return which rays (n, 3) meet which triangles (m, 3, 3), bool (n, m), and at which distance in units of ``way``."""
     distance, s, t, _ = crossings(start, way, corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return (distance > 0) & (s >= 0) & (t >= 0) & (s + t <= 1), distance
 
 
 def layers(points: np.ndarray, vertices: np.ndarray, caps: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """How many of some triangles lie between points (n, 3) and a light, by rays."""
+    """Return how many triangles lie between points (n, 3) and a light, by rays."""
     way = light[:3] - light[3] * points
     met, distance = hits(points, way, vertices[caps])
     return (met & (distance < (1.0 if light[3] else np.inf))).sum(axis=1)
 
 
 def within(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Which points (n, 3) lie in closed bodies of triangles (m, 3, 3): a ray leaves those more often than it enters them."""
+    """Return which points (n, 3) lie in closed bodies of triangles (m, 3, 3): a ray leaves those more often than it enters them."""
     ways = np.broadcast_to([0.3, -0.2, 0.9], points.shape)
     met, _ = hits(points, ways, corners)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -123,7 +124,7 @@ def within(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def signed_count(points: np.ndarray, vertices: np.ndarray, bound: Silhouette, light: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """How much more often rays along (3,) leave the volumes than enter them, through all that bounds those."""
+    """Return how much more often rays along (3,) leave the volumes than enter them, through all their bounds."""
     ways = np.broadcast_to(way, points.shape)
     corners = vertices[bound.caps]
     met, _ = hits(points, ways, corners)
@@ -148,14 +149,14 @@ def bounded(mesh: Mesh, light: np.ndarray, rule: FacingRule | np.ndarray) -> Sil
 
 
 def balance(bound: Silhouette) -> np.ndarray:
-    """How many more edges of a silhouette begin than end at each vertex."""
+    """Return how many more edges of a silhouette begin than end at each vertex."""
     count = int(bound.edges.max(initial=0)) + 1
     return np.bincount(bound.edges[:, 0], bound.times, count) - np.bincount(bound.edges[:, 1], bound.times, count)
 
 
 @pytest.mark.parametrize("light", LIGHTS, ids=str)
 @pytest.mark.parametrize("caster", CASTERS)
-def test_volumes_count_what_rays_meet(caster, light: np.ndarray):
+def test_silhouette_volumes_count_triangles_on_rays(caster, light: np.ndarray):
     rng = np.random.default_rng(7)
     for rule in RULES:
         vertices, triangles = caster(rng)
@@ -163,11 +164,11 @@ def test_volumes_count_what_rays_meet(caster, light: np.ndarray):
         points = rng.uniform(-1.6, 1.6, (300, 3))
         found = layers(points, vertices, bound.caps, light)
         np.testing.assert_array_equal(signed_count(points, vertices, bound, light, rng.standard_normal(3)), found)
-    assert found.max() >= 1  # where all triangles cast
+    assert found.max() >= 1  # the last rule lets all triangles cast
 
 
 @pytest.mark.parametrize("light", LIGHTS, ids=str)
-def test_any_subset_is_a_caster(light: np.ndarray):
+def test_silhouette_of_any_subset_counts_triangles_on_rays(light: np.ndarray):
     rng = np.random.default_rng(8)
     vertices, triangles = bodies(rng)
     bound = bounded((vertices, triangles), light, rng.integers(0, 4, len(triangles)))
@@ -177,7 +178,7 @@ def test_any_subset_is_a_caster(light: np.ndarray):
 
 
 @pytest.mark.parametrize("light", LIGHTS, ids=str)
-def test_caps_face_the_light(light: np.ndarray):
+def test_silhouette_caps_face_the_light(light: np.ndarray):
     vertices, triangles = tangle(np.random.default_rng(1))
     for rule in RULES:
         bound = bounded((vertices, triangles), light, rule)
@@ -187,7 +188,7 @@ def test_caps_face_the_light(light: np.ndarray):
 
 
 @pytest.mark.parametrize("light", [*SUNS, LAMPS[0]], ids=str)
-def test_rules_agree_outside_of_bodies(light: np.ndarray):
+def test_facing_rules_agree_outside_bodies(light: np.ndarray):
     rng = np.random.default_rng(3)
     vertices, triangles = bodies(rng)
     vertices = drawn(vertices)
@@ -199,7 +200,7 @@ def test_rules_agree_outside_of_bodies(light: np.ndarray):
     np.testing.assert_array_equal(dark[1], dark[2])
 
 
-def test_a_lamp_in_a_body_is_shut_in_by_what_is_turned_away():
+def test_facing_rules_for_a_lamp_inside_a_body():
     vertices, triangles = np.asarray(trimesh.creation.icosphere(1).vertices), np.asarray(trimesh.creation.icosphere(1).faces)
     lamp, points = np.array([0.2, 0.1, 0.3, 1.0]), np.array([[2.0, 0.3, 0.1], [-0.4, 0.2, 0.0]])
     dark = [layers(points, drawn(vertices), bounded((vertices, triangles), lamp, rule).caps, lamp).tolist() for rule in RULES]
@@ -207,7 +208,7 @@ def test_a_lamp_in_a_body_is_shut_in_by_what_is_turned_away():
 
 
 @pytest.mark.parametrize("light", [*SUNS, LAMPS[0]], ids=str)
-def test_rules_agree_on_ground_and_above_it(light: np.ndarray):
+def test_facing_rules_agree_on_and_above_ground(light: np.ndarray):
     rng = np.random.default_rng(5)
     vertices, triangles = sheet(rng)
     vertices = drawn(vertices)
@@ -221,14 +222,14 @@ def test_rules_agree_on_ground_and_above_it(light: np.ndarray):
 
 
 @pytest.mark.parametrize("light", LIGHTS, ids=str)
-def test_a_closed_body_casts_a_closed_loop_of_single_edges(light: np.ndarray):
+def test_silhouette_of_a_convex_body_is_one_closed_loop(light: np.ndarray):
     ball = trimesh.creation.icosphere(2, 0.5)
     bound = bounded((ball.vertices + [0.0, 0.0, -1.0], ball.faces), light, "facing")
     assert (bound.times == 1).all() and not balance(bound).any()
     assert len(np.unique(bound.edges[:, 0])) == len(bound.edges)
 
 
-def test_two_triangles_alike_are_one_edge_twice():
+def test_silhouette_of_opposite_triangles_has_double_edges():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
     up = np.array([0.0, 0.0, 1.0, 0.0])
     bound = bounded((vertices, np.array([[0, 1, 2], [1, 0, 2]])), up, "all")
@@ -240,8 +241,8 @@ def test_two_triangles_alike_are_one_edge_twice():
 
 @pytest.mark.parametrize("ulps", [-1, 0, 1])
 @pytest.mark.parametrize("rule", RULES)
-def test_an_edge_on_triangle_leaves_the_boundary_closed(rule: FacingRule, ulps: int):
-    """A box whose walls the sun sees edge-on, but for a unit in the last place of one corner."""
+def test_silhouette_with_edge_on_walls_is_closed(rule: FacingRule, ulps: int):
+    """The sun sees the walls of a box edge-on, up to a unit in the last place of one corner."""
     box = trimesh.creation.box()
     vertices = np.asarray(box.vertices, np.float32) + np.float32(0.7)
     vertices[3, 0] = np.nextafter(vertices[3, 0], np.float32(ulps * np.inf)) if ulps else vertices[3, 0]
@@ -254,26 +255,26 @@ def test_an_edge_on_triangle_leaves_the_boundary_closed(rule: FacingRule, ulps: 
     vertices=arrays(np.int8, (8, 3), elements=st.integers(-1, 1)), triangles=arrays(np.int8, (12, 3), elements=st.integers(0, 7)),
     light=st.tuples(*[st.integers(-2, 2)] * 3, st.integers(0, 1)).filter(any), rule=st.sampled_from(RULES),
 )  # fmt: skip
-def test_boundaries_are_closed_whatever_is_edge_on(vertices, triangles, light, rule: FacingRule):
+def test_silhouette_of_random_triangles_is_closed(vertices, triangles, light, rule: FacingRule):
     bound = bounded((vertices.astype(float), triangles.astype(int)), np.array(light, float), rule)
     assert not balance(bound).any()
 
 
-def test_facing_goes_by_what_is_drawn():
+def test_facing_uses_float32_vertices():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1e-9], [1, 1, 1.0]])
     light = np.array([0.0, 1.0, 1e-10, 0.0])
     assert not facing(vertices, np.array([[0, 1, 2]]), light)[0]
-    vertices[:, 2] += 1.0  # as float32 the triangle is level now
+    vertices[:, 2] += 1.0  # in float32 the triangle is level now
     assert facing(vertices, np.array([[0, 1, 2]]), light)[0]
 
 
-def test_an_edge_on_triangle_does_not_face_the_light():
+def test_facing_is_false_for_edge_on_triangles():
     wall = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1]], float)
     assert not facing(wall, np.array([[0, 1, 2], [0, 2, 1]]), np.array([0.0, 0.0, 1.0, 0.0])).any()
     assert facing(wall, np.array([[0, 1, 2], [0, 2, 1]]), np.array([0.0, -1.0, 0.0, 1.0])).tolist() == [True, False]
 
 
-def test_turns_by_rules_and_by_numbers():
+def test_turns_of_rules_and_codes():
     faces = np.array([True, False])
     assert turns_of(faces, "facing").tolist() == [1, 0]
     assert turns_of(faces, "turned_away").tolist() == [0, -1]
@@ -284,7 +285,7 @@ def test_turns_by_rules_and_by_numbers():
     assert turns_of(np.zeros(4, bool), numbers).dtype == np.int8
 
 
-def test_what_is_wrong_is_named():
+def test_silhouette_functions_name_invalid_arguments():
     with pytest.raises(InputError, match="rule: 'both' is not allowed. Allowed: facing or turned_away or all"):
         turns_of(np.ones(1, bool), "both")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="rule: '4' is not allowed. Allowed: 0 to 3"):
@@ -298,14 +299,14 @@ def test_what_is_wrong_is_named():
     height=arrays(np.int8, st.tuples(st.integers(1, 6), st.integers(1, 6)), elements=st.integers(-3, 3)),
     light=st.tuples(*[st.integers(-3, 3)] * 3, st.integers(0, 1)).filter(any), rule=st.sampled_from(RULES),
 )  # fmt: skip
-def test_a_sheet_is_as_any_mesh(height, light, rule: FacingRule):
+def test_sheet_silhouette_equals_silhouette(height, light, rule: FacingRule):
     row, col = np.mgrid[: height.shape[0], : height.shape[1]]
     position = np.stack([col, -row, np.where(height < -1, np.nan, height)], axis=-1)
     check_sheet(position, np.array(light, float), rule)
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_a_large_sheet_is_as_any_mesh(rule: FacingRule):
+def test_sheet_silhouette_of_a_large_sheet_equals_silhouette(rule: FacingRule):
     rng = np.random.default_rng(2)
     row, col = np.mgrid[:70, :90] * 10.0
     position = np.stack([col, -row, rng.uniform(0, 20, row.shape)], axis=-1)

@@ -1,4 +1,4 @@
-"""Rectangles of tiles, and faces that are left out: nothing is lost by either."""
+"""Rectangles of marked tiles and culled faces: neither changes a count."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def drawn_pixels(size: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of a picture: none, few, in heaps, or all over."""
+    """Return pixels of a picture: none, few, clustered, or all over."""
     rng = np.random.default_rng(seed)
     middle, spread = rng.random((rng.integers(0, 4), 2)), rng.choice([0.0, 0.02, 0.3])
     points = (middle[:, None] + rng.normal(0, spread, (len(middle), rng.integers(1, 60), 2))).reshape(-1, 2)
@@ -35,8 +35,8 @@ def drawn_pixels(size: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarr
 
 
 @given(SIZES, SEEDS)
-def test_rectangles_hold_each_marked_pixel_once(size, seed):
-    """They do not overlap, lie inside the picture, and begin at tiles; none is without a marked one."""
+def test_rectangles_cover_each_marked_pixel_once(size, seed):
+    """Rectangles are disjoint, lie inside the picture and begin at tile borders. Each holds a marked tile."""
     rows, cols = drawn_pixels(size, seed)
     tiles = marked_tiles(rows, cols, size)
     found = rectangles(tiles, size, 10_000)
@@ -54,8 +54,8 @@ def test_rectangles_hold_each_marked_pixel_once(size, seed):
 
 
 @given(arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12))))
-def test_a_rectangle_less_would_hold_more(tiles):
-    """Never more tiles than in what holds them all, less what each further rectangle is worth."""
+def test_rectangles_cost_no_more_than_their_bounding_box(tiles):
+    """The cost is the number of tiles, plus a constant for each further rectangle."""
     size = tuple(side * CULLING_TILE_PX for side in tiles.shape)
     found = rectangles(tiles, size, 10_000)
     rows, cols = np.nonzero(tiles)
@@ -65,7 +65,7 @@ def test_a_rectangle_less_would_hold_more(tiles):
 
 
 @given(SIZES, SEEDS)
-def test_bounds_of_depth_are_those_of_the_pixels(size, seed):
+def test_depth_bounds_are_those_of_the_pixels(size, seed):
     rows, cols = drawn_pixels(size, seed)
     depth = np.random.default_rng(seed).random(len(rows))
     parts = rectangles(marked_tiles(rows, cols, size), size, 10_000)
@@ -74,11 +74,11 @@ def test_bounds_of_depth_are_those_of_the_pixels(size, seed):
         assert inside.any() and low == depth[inside].min() and high == depth[inside].max()
 
 
-# -- which faces matter
+# -- culling of faces
 
 
 def exact(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where pixels (n,) are covered by a triangle (3, 4) of homogeneous x, y, z, w, its depth there, and how it turns (+1, -1, 0).
+    """Return where a triangle (3, 4) of homogeneous x, y, z, w covers pixels (n,), its depth there, and its turn (+1, -1, 0).
 
     By the plane through the corners and the eye: with M the matrix of their (x, y, w), the weights are M^-T (x, y, 1).
     """
@@ -91,15 +91,16 @@ def exact(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray,
 
 
 @given(SEEDS, st.booleans(), st.booleans())
-def test_what_is_left_out_adds_the_same_everywhere(seed, behind, clamped):
-    """Triangles before, behind and beside the eye, with corners at infinity: in each pixel of a rectangle, whatever its depth is
-    within the bounds, the faces that are kept and the constant make the whole count. Before the near plane, at depth 1, none is
-    drawn, unless depths are clamped.
+def test_cull_faces_keeps_every_count(seed, behind, clamped):
+    """Triangles lie before, behind and beside the eye, with corners at infinity.
+
+    In each pixel of a rectangle, at any depth within the bounds, the kept faces and the constant give the whole count. Nothing is
+    drawn before the near plane, at depth 1, unless depths are clamped.
     """
     rng = np.random.default_rng(seed)
     size = 40, 56
     clip = rng.normal(0, 1, (24, 4)) * [2, 2, 1, 1]
-    clip[:8, 3] *= 0.0  # infinitely far away
+    clip[:8, 3] *= 0.0  # at infinity
     clip[8:16, :2] *= 20.0
     faces = np.array([rng.choice(len(clip), 3, replace=False) for _ in range(30)], np.int32)
     rows, cols = drawn_pixels(size, seed)
@@ -128,7 +129,7 @@ def everything(
     size: tuple[int, int],
     clamped: bool,
 ) -> CulledFaces:
-    """All faces in every rectangle."""
+    """Return all faces in every rectangle."""
     k, m = len(parts), len(faces)
     return CulledFaces(np.tile(np.arange(m, dtype=np.int32), k), np.arange(k + 1) * m, np.zeros(k, np.int64))
 
@@ -140,7 +141,7 @@ def counted(at: Look, wanted: np.ndarray, marked: bool, counting: Any = "auto") 
 
 
 def things(rng: np.random.Generator) -> trimesh.Trimesh:
-    """Boxes, wires, holed spheres and loose triangles, and a pebble on the ground."""
+    """Return boxes, wires, holed spheres and loose triangles, and a pebble on the ground."""
     parts = [box((0.1, 0.1, 0.1), at_m=(25, 25))]
     for _ in range(rng.integers(1, 6)):
         east, north = rng.uniform(-8, 8, 2)
@@ -154,8 +155,8 @@ def things(rng: np.random.Generator) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_counts_are_those_of_all_faces(gl, tmp_path, monkeypatch, seed):
-    """Random volumes, lights and eyes: drawing all faces everywhere gives the same number in every pixel."""
+def test_stencil_counts_equal_those_of_all_faces(gl, tmp_path, monkeypatch, seed):
+    """Volumes, lights and eyes are random. Drawing all faces everywhere gives the same number in every pixel."""
     rng = np.random.default_rng(seed)
     kind = ("sun", "spot", "omni")[seed % 3]
     place = [*rng.uniform(-10, 10, 2), rng.uniform(12, 25)]
@@ -176,7 +177,7 @@ def test_counts_are_those_of_all_faces(gl, tmp_path, monkeypatch, seed):
             assert (found[~wanted] == 0).all()
 
 
-def test_faces_before_the_near_plane_count_for_nothing(gl, tmp_path, monkeypatch):
+def test_stencil_counts_ignore_faces_before_the_near_plane(gl, tmp_path, monkeypatch):
     lamp = {"kind": "omni", "position": [-6, -12, 18]}
     body = joined(box((8, 6, 5)), box((0.3, 0.3, 0.01), 6.1, (10, 20)))
     at = look(level_of(tmp_path, [body], 0, 0, **eye((10, 20, 6.05), (0, 2, 0)), sun="none", lights={"lamp": lamp}))

@@ -1,4 +1,4 @@
-"""What is left out because it provably throws no shadow on a block: rays find none of it, wherever the block lies and the sun."""
+"""Caster culling omits only ground that provably casts no shadow on a block: no ray meets it, for any block and sun."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
 SIDE = 900
-"""Cells of the ground, of 10 m: a block in it has patches on all sides."""
+"""Cells along each side of the ground, each 10 m wide: a block within it has patches on all sides."""
 
 heights = arrays.arrays(np.float32, (5, 4), elements=st.floats(-100.0, 100.0, width=32))
 
 
 @given(heights)
-def test_rises_bound_those_of_every_triangle_of_every_cut(height):
+def test_rises_bound_every_triangle_of_every_diagonal(height):
     reach = rises(height)
     for i in range(height.shape[0] - 1):
         for j in range(height.shape[1] - 1):
@@ -42,7 +42,7 @@ def test_rises_bound_those_of_every_triangle_of_every_cut(height):
 
 
 def rolling(seed: int, relief_m: float, waves: int) -> np.ndarray:
-    """Smooth hills, of all wavelengths from the whole down to ``waves`` to a side."""
+    """Return smooth hills, with wavelengths from the whole side down to ``waves`` waves per side."""
     random = np.random.default_rng(seed)
     y, x = np.mgrid[0:SIDE, 0:SIDE] * (2.0 * np.pi / SIDE)
     out = np.zeros((SIDE, SIDE))
@@ -54,7 +54,7 @@ def rolling(seed: int, relief_m: float, waves: int) -> np.ndarray:
 
 @pytest.fixture
 def blocks(write_raster, make_scene):
-    """A block of rolling ground with its casters, under a sun: a scene, a buffer, all of its casters with what of them is idle."""
+    """Return a factory of a scene, the buffer of a block of rolling ground, and its casters with their culled patches."""
 
     def make(seed: int, relief_m: float, waves: int, azimuth: float, altitude: float, corner: tuple[int, int], crs: str):
         raster = write_raster(rolling(seed, relief_m, waves), crs, 500_000.0, 5_300_000.0, 10.0, name=f"{seed}.tif")
@@ -69,10 +69,10 @@ def blocks(write_raster, make_scene):
 
 
 def lit_under(scene: Scene, buffer, casters: Casters, altitude_deg: float) -> np.ndarray:
-    """Which points see a sun of another altitude, past the ground that casts (rows, cols)."""
+    """Return whether each point sees a sun of another altitude past the casters' ground (rows, cols)."""
     assert scene.sun is not None
     other = scene.with_sun(SunSpec(azimuth=scene.sun.azimuth_deg, altitude=altitude_deg))
-    return lit_mask(buffer, other, SUN, ray_scene(buffer, scene, casters, ALL_KINDS))  # kept: the same under each sun
+    return lit_mask(buffer, other, SUN, ray_scene(buffer, scene, casters, ALL_KINDS))  # cached: the same under each sun
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -80,8 +80,8 @@ def lit_under(scene: Scene, buffer, casters: Casters, altitude_deg: float) -> np
     st.integers(0, 10_000), st.floats(5.0, 900.0), st.integers(1, 9), st.floats(0.0, 360.0), st.floats(1.5, 60.0),
     st.tuples(st.integers(150, 600), st.integers(150, 600)), st.sampled_from([ENGINEERING, "EPSG:32633"]),
 )  # fmt: skip
-def test_no_ray_to_any_part_of_the_sun_meets_what_is_left_out(blocks, seed, relief, waves, azimuth, altitude, corner, crs):
-    """Neither one to the middle of the disc nor one to its lowest point; and what faces the sun all over sees all of it."""
+def test_no_ray_to_the_sun_s_disc_meets_culled_ground(blocks, seed, relief, waves, azimuth, altitude, corner, crs):
+    """Rays go to the disc's middle and to near its lowest point. A block without casters whose own ground is clear is fully lit."""
     scene, buffer, casters = blocks(seed, relief, waves, azimuth, altitude, corner, crs)
     everything = Casters(casters.patches, casters.reach)
     for sun_deg in (altitude, altitude - 0.95 * SUN_RADIUS_DEG):
@@ -91,8 +91,8 @@ def test_no_ray_to_any_part_of_the_sun_meets_what_is_left_out(blocks, seed, reli
             assert lit[buffer.valid].all()
 
 
-def test_much_is_left_out_and_what_casts_is_not(blocks):
-    """Over gentle hills all of the ground beside a block under a high sun; under a low one less, and shadows fall into it."""
+def test_culling_omits_gentle_ground_and_keeps_casters(blocks):
+    """A high sun culls all ground beside a block of gentle hills. A low sun culls less, and shadows fall into the block."""
     scene, buffer, high = blocks(5, 600.0, 6, 215.0, 50.0, (300, 300), "EPSG:32633")
     assert high.patches and not high.casting and own_ground_is_clear(scene, buffer)
     scene, buffer, low = blocks(5, 600.0, 6, 215.0, 6.0, (300, 300), "EPSG:32633")
@@ -102,9 +102,10 @@ def test_much_is_left_out_and_what_casts_is_not(blocks):
     assert len([*caster_sheets(scene, buffer, low, ("relief",))]) == 1 + len(low.casting)
 
 
-def test_ground_with_a_gap_is_kept_where_it_is_high_enough(write_raster, make_scene):
-    """A plateau behind a gap in the data has no facet that is turned away from the sun, and shades what lies below: of it the edge
-    is kept, which is enough for a sweep.
+def test_culling_keeps_high_ground_behind_a_nodata_gap(write_raster, make_scene):
+    """A plateau behind a gap in the data has no facet that faces away from the sun, but it shades the ground below.
+
+    Culling keeps the plateau's edge, which is enough for a sweep.
     """
     height = np.zeros((SIDE, SIDE), np.float32)
     height[700:] = 120.0
@@ -120,8 +121,8 @@ def test_ground_with_a_gap_is_kept_where_it_is_high_enough(write_raster, make_sc
 
 
 @pytest.mark.parametrize(("wall_m", "casts"), [(100.0, True), (20.0, False)])
-def test_a_wall_is_kept_as_far_as_its_shadow_reaches(write_raster, make_scene, wall_m, casts):
-    """1000 m from a block under a sun of 5 degrees: 100 m of wall throw 1143 m of shadow, 20 m throw 229 m."""
+def test_culling_keeps_a_wall_only_if_its_shadow_reaches(write_raster, make_scene, wall_m, casts):
+    """The wall is 1000 m from a block under a sun of 5 degrees: 100 m of wall cast 1143 m of shadow, 20 m cast 229 m."""
     height = np.zeros((SIDE, SIDE), np.float32)
     height[690:700] = wall_m
     scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0), 180.0, 5.0)

@@ -1,4 +1,4 @@
-"""Clip coordinates of cameras and of maps: points lie in the pixels that show them, to a stated share of a pixel."""
+"""Clip coordinates of cameras and maps: points lie in the pixels that show them, within a stated fraction of a pixel."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ def globe() -> Scene:
 
 
 def pixels(clip: np.ndarray, points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and depths of points (n, 3) from the origin."""
+    """Return rows, columns and depths of points (n, 3) relative to the origin."""
     x, y, z, w = clip @ np.column_stack([points, np.ones(len(points))]).T
     return (y / w + 1.0) * view.rows / 2 - 0.5, (x / w + 1.0) * view.cols / 2 - 0.5, z / w
 
 
 @pytest.mark.parametrize("cut", [None, (20, 31, 70, 90), (70, -20, 70, 90)])
 @pytest.mark.parametrize("fine", [1, 2])
-def test_what_a_camera_sees_lies_in_its_pixels(gl, flat, cut, fine):
-    """Whole, cut off-centre, and finer; depth is the near distance over the one along the axis."""
+def test_camera_clip_places_points_in_their_pixels(gl, flat, cut, fine):
+    """The view is whole, cropped off-centre, or finer. Depth is the near distance divided by the distance along the axis."""
     view = flat.view("eye") if cut is None else flat.view("eye").part(*cut)
     view = view.finer(fine)
     buffer = geometry_buffer(flat, view)
     shown_pixels, origin = np.nonzero(buffer.valid), np.array([3.0, -7.0, 1.0])
     points = buffer.position_frame_m[shown_pixels]
     row, col, depth = pixels(camera_clip(view, buffer.frame, origin, 0.5), points - origin, view)
-    # points are held inside their triangles, whose corners the rasteriser rounds to 1/256 of a pixel
+    # points are clamped to their triangles, whose corners the rasteriser rounds to 1/256 of a pixel
     assert len(row) > 1000
     np.testing.assert_allclose(row, shown_pixels[0], rtol=0, atol=1 / 256)
     np.testing.assert_allclose(col, shown_pixels[1], rtol=0, atol=1 / 256)
@@ -50,7 +50,7 @@ def test_what_a_camera_sees_lies_in_its_pixels(gl, flat, cut, fine):
     np.testing.assert_allclose(depth, 0.5 / ((points - eye) @ camera_from_frame[2]), rtol=1e-12)
 
 
-def test_what_is_infinitely_far_away_has_depth_0_and_the_near_plane_1(flat):
+def test_camera_clip_depth_is_0_at_infinity_and_1_at_near(flat):
     view = flat.view("eye")
     frame = view_frame(flat, view)
     eye, camera_from_frame = view.in_frame(frame)
@@ -62,8 +62,8 @@ def test_what_is_infinitely_far_away_has_depth_0_and_the_near_plane_1(flat):
     assert z / w == pytest.approx(1.0) and abs(x) < 1e-12 and abs(y) < 1e-12
 
 
-def test_a_flat_map_is_a_camera(gl, flat):
-    """Pixels and heights are exact: depth 0 at the lower height, 1 at the higher one."""
+def test_map_clip_is_exact_in_a_flat_world(gl, flat):
+    """Pixels and heights are exact: depth is 0 at the lower height and 1 at the higher one."""
     view = flat.view(bounds=(-40, -30, 40, 30), size=(160, 120)).part(13, 7, 90, 101)
     buffer = geometry_buffer(flat, view)
     origin = np.array([5.0, 2.0, 1.0])
@@ -78,8 +78,8 @@ def test_a_flat_map_is_a_camera(gl, flat):
 
 
 @pytest.mark.parametrize("zoom", [9, 11, 13])
-def test_parts_of_a_globe_s_map_lie_off_it_by_what_is_stated(gl, globe, zoom):
-    """By no more than the bend of the level's parts, a little more where ground rises above the fitted heights."""
+def test_affine_parts_of_a_globe_map_err_within_the_bound(gl, globe, zoom):
+    """The error is at most the bend of the level's parts, and slightly more where ground rises above the fitted heights."""
     block = block_at(-84.25, 36.2933, zoom)
     buffer = geometry_buffer(globe, block)
     stated, worst = bend_px(globe, block.grid, block.row_step, block.col_step), 0.0
@@ -104,7 +104,7 @@ def test_coarser_maps_bend_more(globe):
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(1, 1), (AFFINE_PART_PX, AFFINE_PART_PX), (AFFINE_PART_PX + 1, 3), (700, 513)])
-def test_parts_cover_a_view_once(globe, flat, rows, cols):
+def test_affine_parts_cover_a_view_once(globe, flat, rows, cols):
     block = block_at(-84.25, 36.2933, 12)
     view = MapView(block.grid, block.row0 + 5, block.col0 + 9, 1.0, 1.0, rows, cols)
     covered = np.zeros((rows, cols), int)

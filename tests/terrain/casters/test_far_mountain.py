@@ -1,4 +1,4 @@
-"""A mountain 60 km away under a sun 2 degrees high shadows its plain as far as it must, in tiles of every zoom and in ``shade``."""
+"""A mountain 60 km away under a sun 2 degrees high shades its plain as far as computed, in tiles of every zoom and in ``shade``."""
 
 from __future__ import annotations
 
@@ -22,11 +22,14 @@ CELL_M, COLS, ROWS = 30.0, 2700, 700
 WEST_M, NORTH_M = 460_000.0, 5_210_500.0
 PLAIN_M, MOUNTAIN_M = 300.0, 2500.0
 RIM_M, HALF_WIDTH_M = WEST_M + 72_000.0, 2500.0
-"""Easting of the mountain's western rim, and half its extent from north to south. Its top is flat: the rim's shadow is longest."""
+"""Easting of the mountain's western rim, and half its extent from north to south.
+
+The top is flat, so the rim casts the longest shadow.
+"""
 
 MIDDLE_M = NORTH_M - ROWS / 2 * CELL_M
 FAR_M, ALTITUDE_DEG = 60_000.0, 2.0
-"""How far from the rim the sun is how high."""
+"""Distance from the rim, and the sun's altitude at that distance."""
 
 PATCH_PX = 6
 TMS = matrix_sets.get("WebMercatorQuad")
@@ -40,7 +43,10 @@ def heights() -> np.ndarray:
 
 
 def shadow_length_m() -> float:
-    """L of H = L tan(a) + L^2 / 2R, where the sun stands lower by L / R the farther west one goes."""
+    """Return L that solves H = L tan(a) + L^2 / 2R.
+
+    The sun's altitude a falls by L / R over a distance L towards the west.
+    """
     length_m = np.linspace(1e3, 90e3, 100_000)
     altitude = np.radians(ALTITUDE_DEG) + (FAR_M - length_m) / EARTH_RADIUS_M
     needed_m = length_m * np.tan(altitude) + length_m**2 / (2.0 * EARTH_RADIUS_M)
@@ -48,7 +54,10 @@ def shadow_length_m() -> float:
 
 
 def places(margin_m: float) -> dict[tuple[float, float], bool]:
-    """Eastings and northings on the plain, and whether they lie in the mountain's shadow: no nearer to its rim than a margin."""
+    """Map places on the plain (easting, northing) to whether they lie in the mountain's shadow.
+
+    Places keep a margin from the shadow's outline.
+    """
     end_m = shadow_length_m()
     dark = {(RIM_M - distance_m, MIDDLE_M): True for distance_m in (10e3, 25e3, 40e3, FAR_M - margin_m, end_m - margin_m)}
     aside = {(RIM_M - 40e3, MIDDLE_M + side * (HALF_WIDTH_M + margin_m)): False for side in (-1, 1)}
@@ -69,12 +78,12 @@ def scene(request, write_raster, make_scene, monkeypatch) -> Scene:
     return make_scene(raster, 90.0, float(at_anchor))
 
 
-def test_the_shadow_s_length_is_that_of_a_curved_earth():
-    # 60 km take 2095 m by the slope and 283 m by the curve; the 122 m more of the mountain go on for 3.5 km.
+def test_shadow_length_allows_for_the_curved_earth():
+    # 60 km need 2095 m for the slope and 283 m for the curvature; the mountain's other 122 m add 3.5 km.
     assert shadow_length_m() == pytest.approx(63_500.0, abs=100.0)
 
 
-def test_tiles_of_every_zoom(scene):
+def test_tiles_of_every_zoom_show_the_far_shadow(scene):
     assert scene.bounds_lon_lat is not None
     zooms = zoom_range(TMS, scene.world, scene.bounds_lon_lat, CELL_M)
     assert zooms is not None and zooms.last - zooms.first >= 7
@@ -88,7 +97,7 @@ def test_tiles_of_every_zoom(scene):
             at = TMS.xy(lon, lat)
             row, col = (int(v) - PATCH_PX // 2 for v in (grid.row(at.y), grid.col(at.x)))
             view = MapView(grid, float(row), float(col), 1.0, 1.0, PATCH_PX, PATCH_PX)
-            plan = plan or plan_of(scene, view)  # all tiles of a level have one
+            plan = plan or plan_of(scene, view)  # all tiles of a level share one plan
             middle = slice(PATCH_PX // 2 - 1, PATCH_PX // 2 + 1)
             opacity = drawn(scene, view, plan).opacity[middle, middle]
             if (opacity != (255 if dark else 0)).any():
@@ -96,7 +105,7 @@ def test_tiles_of_every_zoom(scene):
     assert not wrong, "\n".join(map(str, wrong))
 
 
-def test_shade_s_cells(scene):
+def test_shade_cells_show_the_far_shadow(scene):
     for (x, y), dark in places(500.0 + 3.0 * CELL_M).items():
         view = raster_view(scene, (x - 100.0, y - 100.0, x + 100.0, y + 100.0))
         found = shade_array(scene, view, "mask", None)

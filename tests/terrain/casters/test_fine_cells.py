@@ -1,4 +1,4 @@
-"""Blocks small beside a big raster's overview cells: as few patches of casters as on a small raster, and the same shadows."""
+"""Blocks small beside a big raster's overview cells have as few caster patches as on a small raster, and the same shadows."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ def relief() -> np.ndarray:
 
 @pytest.fixture
 def seen(write_raster, make_scene, monkeypatch):
-    """Patches of casters, and the shadow (rows, cols), of a block at full detail: of the raster as it is; and if it were big, with
-    and without its finer cells.
+    """Return the number of caster patches and the shadow (rows, cols) of a block at full detail, for three rasters.
+
+    One is the raster as it is. The other two count as big: one with and one without the finer cells of its overview.
     """
     raster = write_raster(relief(), "EPSG:32633", WEST_M, NORTH_M, CELL_M, tiled=True)
 
@@ -45,17 +46,17 @@ def seen(write_raster, make_scene, monkeypatch):
     return found
 
 
-def test_shadows_are_the_same_and_patches_few(seen):
+def test_fine_cells_keep_shadows_and_reduce_patches(seen):
     _, small = seen["small"]
     assert 0.1 < small.mean() < 0.9
     np.testing.assert_array_equal(seen["big"][1], seen["big, coarse cells alone"][1])
-    assert (seen["big"][1] != small).sum() <= 4  # the level's own range of heights is estimated: points on a shadow's very edge
+    assert (seen["big"][1] != small).sum() <= 4  # the level's height range is estimated: points on a shadow's edge differ
     counts = {name: count for name, (count, _) in seen.items()}
     assert 0 < counts["small"] <= counts["big"] < 2 * counts["small"], counts
     assert counts["big"] < 0.6 * counts["big, coarse cells alone"], counts
 
 
-def test_finer_cells_lie_in_the_overview_s(write_raster, make_scene, monkeypatch):
+def test_fine_cells_nest_in_the_overview_cells(write_raster, make_scene, monkeypatch):
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 256 * 256)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 256 * 256)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 8)

@@ -1,4 +1,4 @@
-"""Truth's rays against shadows known in closed form, and the offset they start with."""
+"""Ground truth rays against shadows known in closed form, and their start offset."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SUNS = [(190.0, 45.0), (233.0, 17.0), (67.0, 24.0), (311.0, 71.0)]
 
 
 def receiver(tilt: float, size_m: float = 200.0) -> tuple[Sheet, np.ndarray, np.ndarray]:
-    """A plane z = tilt * x as a sheet, its pixels' centres (n, 3), and its unit normal."""
+    """Return a plane z = tilt * x as a sheet, its pixels' centres (n, 3), and its unit normal."""
     axis = np.linspace(-size_m, size_m, 9)
     x, y = np.meshgrid(axis, -axis)
     normal = np.array([-tilt, 0.0, 1.0]) / np.hypot(tilt, 1.0)
@@ -26,13 +26,13 @@ def receiver(tilt: float, size_m: float = 200.0) -> tuple[Sheet, np.ndarray, np.
 
 
 def hull_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Signed distance (inside negative) of points (n, 2) to the convex hull of corners (m, 2)."""
+    """Return the signed distance (negative inside) of points (n, 2) from the convex hull of corners (m, 2)."""
     hull = ConvexHull(corners)
     return np.max(points @ hull.equations[:, :2].T + hull.equations[:, 2], axis=1)
 
 
 def along_sun(points: np.ndarray, sun: np.ndarray) -> np.ndarray:
-    """Points moved along the sun's direction onto z = 0, seen there: (n, 2)."""
+    """Project points along the sun's direction onto z = 0: (n, 2)."""
     return (points - points[:, 2:] / sun[2] * sun)[:, :2]
 
 
@@ -62,7 +62,10 @@ def sphere(centre: np.ndarray, radius: float, rings: int = 700) -> tuple[np.ndar
 
 
 def check(mesh, tilt: float, sun: np.ndarray, distance) -> None:
-    """Every pixel farther than 0.02 px from the outline agrees; ``distance`` is on z = 0 seen along the sun."""
+    """Assert that every pixel farther than 0.02 px from the outline agrees.
+
+    ``distance`` returns the signed distance from the outline, measured on z = 0 along the sun.
+    """
     sheet, points, normal = receiver(tilt)
     assert normal @ sun > 0.02
     scene = RayScene([sheet], [mesh])
@@ -76,7 +79,7 @@ def check(mesh, tilt: float, sun: np.ndarray, distance) -> None:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 @pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
-def test_box(tilt, azimuth, altitude):
+def test_rays_match_the_shadow_of_a_box(tilt, azimuth, altitude):
     sun = direction_enu(azimuth, altitude)
     mesh = box([0.0, 0.0, 40.0], [10.0, 6.0, 8.0])
     check(mesh, tilt, sun, lambda points: hull_distance(along_sun(points, sun), along_sun(mesh[0], sun)))
@@ -84,7 +87,7 @@ def test_box(tilt, azimuth, altitude):
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 @pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
-def test_wall(tilt, azimuth, altitude):
+def test_rays_match_the_shadow_of_a_thin_wall(tilt, azimuth, altitude):
     sun = direction_enu(azimuth, altitude)
     mesh = box([5.0, 0.0, 40.0], [0.05, 60.0, 12.0])
     check(mesh, tilt, sun, lambda points: hull_distance(along_sun(points, sun), along_sun(mesh[0], sun)))
@@ -92,8 +95,11 @@ def test_wall(tilt, azimuth, altitude):
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 @pytest.mark.parametrize(("azimuth", "altitude"), [SUNS[0], *(pytest.param(*sun, marks=pytest.mark.long) for sun in SUNS[1:])])
-def test_sphere(tilt, azimuth, altitude):
-    """In shadow if the ray passes the centre within the radius; the mesh's own error is r (1 - cos(half a step)): 0.1 mm."""
+def test_rays_match_the_shadow_of_a_sphere(tilt, azimuth, altitude):
+    """A point is in shadow if its ray passes the centre within the radius.
+
+    The mesh itself errs by r (1 - cos(half a step)): 0.1 mm.
+    """
     sun, centre, radius = direction_enu(azimuth, altitude), np.array([0.0, 0.0, 45.0]), 12.0
 
     def distance(points: np.ndarray) -> np.ndarray:
@@ -105,8 +111,8 @@ def test_sphere(tilt, azimuth, altitude):
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 @pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
-def test_cone(tilt, azimuth, altitude):
-    """The hull of a disc and the apex, seen along the sun on the level of the disc: tangents from the apex."""
+def test_rays_match_the_shadow_of_a_cone(tilt, azimuth, altitude):
+    """The shadow is the hull of the disc and the apex, projected along the sun onto the disc's plane: tangents from the apex."""
     sun, base_z, radius, apex = direction_enu(azimuth, altitude), 30.0, 10.0, np.array([0.0, 0.0, 55.0])
     angle = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(4000, base_z)], 1)
@@ -129,8 +135,8 @@ def test_cone(tilt, azimuth, altitude):
     check(fan(apex, ring), tilt, sun, distance)
 
 
-def test_the_offset_neither_hits_its_own_triangle_nor_leaks():
-    """Rough ground over 40 km: no start meets the triangle it lies on, and none is lifted over its neighbours."""
+def test_start_offset_neither_self_intersects_nor_leaks():
+    """On rough ground 40 km wide no ray meets the triangle that it starts on. No start is lifted over neighbouring triangles."""
     rng = np.random.default_rng(2)
     n = 400
     x, y = np.meshgrid(np.arange(n) * 100.0, -np.arange(n) * 100.0)
@@ -144,12 +150,15 @@ def test_the_offset_neither_hits_its_own_triangle_nor_leaks():
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     start = middle + scene.offset_m * normal
     assert not scene.blocked(start, np.array([0.0, 0.0, 1.0])).any()
-    assert not scene.blocked(start, normal).mean() > 0.02  # what stands in the normal's way is real
+    assert not scene.blocked(start, normal).mean() > 0.02  # rays along the normal are blocked by other ground only
     assert scene.blocked(middle - scene.offset_m * normal, np.array([0.0, 0.0, 1.0])).all()
 
 
-def test_rays_go_on_through_transparent_texels():
-    """Five alpha-tested sheets one behind the other, each opaque in another fifth: together they stop all, alone a fifth."""
+def test_rays_pass_through_transparent_texels():
+    """Five alpha-tested sheets lie one behind the other, each opaque in a different fifth.
+
+    Together they block all rays, alone a fifth.
+    """
     corners = np.array([[-1.0, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]]) * 10
     triangles = np.array([[0, 1, 2], [0, 2, 3]])
     uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], float)
@@ -183,6 +192,6 @@ def test_alpha_is_bilinear_between_texel_centres():
     np.testing.assert_allclose(sample_alpha(alpha, uv), [0, 1, 0.5, 0, 1, 0.5])
 
 
-def test_an_empty_scene_stops_nothing():
+def test_an_empty_scene_blocks_no_ray():
     assert not RayScene().blocked(np.zeros((3, 3)), np.array([0.0, 0.0, 1.0])).any()
     assert RayScene([sheet_of(np.full((3, 3, 3), np.nan))]).blocked(np.zeros((0, 3)), np.array([0.0, 0.0, 1.0])).shape == (0,)

@@ -1,4 +1,4 @@
-"""Casters outside a block: which ground is looked at, how far, and that their number stays bounded."""
+"""Casters outside a block: which ground is read, how far out, and a bound on their number."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ def hills(rows: int, cols: int, relief: float, seed: int = 4) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("relief", "altitude", "length_km"),
-    # The table of caster distances has terrestrial refraction in it; without it the curved ones are some per cent shorter.
+    # The table of caster distances includes terrestrial refraction; without it, curved distances are some per cent shorter.
     [(1500, 10, 8.46), (1500, 2, 39.46), (3000, 1, 113.7), (1500, 0, 138.2), (0, 5, 0.0), (-5, 5, 0.0)],
 )
-def test_the_longest_shadow_on_a_curved_earth(relief, altitude, length_km):
+def test_longest_shadow_on_a_curved_earth(relief, altitude, length_km):
     assert longest_shadow_m(relief, altitude) / 1000 == pytest.approx(length_km, rel=0.005)
 
 
-def test_the_longest_shadow_on_a_flat_one():
+def test_longest_shadow_on_a_flat_earth():
     assert longest_shadow_m(100, 30, curved=False) == pytest.approx(100 / np.tan(np.radians(30)))
     assert longest_shadow_m(100, 0, curved=False) == np.inf
 
 
-def test_only_ground_towards_the_sun_and_high_enough_is_read(write_raster, make_scene):
+def test_find_casters_reads_only_high_ground_towards_the_sun(write_raster, make_scene):
     heights = np.zeros((400, 400), np.float32)
     heights[195:205, 20:30] = 200.0  # in the west
     heights[195:205, 370:380] = 200.0  # in the east
-    heights[20:30, 195:205] = 200.0  # in the north, beside the way
+    heights[20:30, 195:205] = 200.0  # in the north, off the rays' path
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 4000, 10.0), 270, 8)
     view = scene.view(bounds=(1700, 1900, 2100, 2100), size=(400, 200))
     buffer, found = casters(scene, view)
@@ -55,8 +55,8 @@ def test_only_ground_towards_the_sun_and_high_enough_is_read(write_raster, make_
     assert render(scene.with_sun(SunSpec(azimuth=270, altitude=20)), view).reach.needed_m < found.reach.needed_m
 
 
-def test_ground_across_the_antimeridian_casts_like_any_other(write_raster, make_scene):
-    """The same hills at longitude 180 and at 100: the same casters, the same shadows."""
+def test_casters_are_the_same_across_the_antimeridian(write_raster, make_scene):
+    """The same hills at longitude 180 and at 100 give the same casters and the same shadows."""
     found = []
     for lon in (180.0, 100.0):
         raster = write_raster(hills(120, 120, 900), "EPSG:4326", lon - 0.06, 10.06, 0.001, name=f"at{lon:.0f}.tif")
@@ -65,13 +65,13 @@ def test_ground_across_the_antimeridian_casts_like_any_other(write_raster, make_
         view = scene.view(bounds=(x - 2000, 1113000, x + 400, 1118000), crs="EPSG:3857", size=(128, 256))
         buffer, its = casters(scene, view)
         found.append((len(its.patches), render(scene, view, filter=1)))
-    assert abs(found[0][0] - found[1][0]) <= 4  # the two grids are cut into patches elsewhere
+    assert abs(found[0][0] - found[1][0]) <= 4  # the two grids have different patch borders
     one, other = (frame.visibility < 0.5 for _, frame in found)
     assert 0.05 < one.mean() < 0.95
-    assert (one != other).mean() < 0.02  # sampled at other places of the hills by less than a pixel
+    assert (one != other).mean() < 0.02  # the sampled places differ by less than a pixel
 
 
-def test_cells_far_larger_than_the_view_bring_few_patches(write_raster, make_scene):
+def test_cells_far_larger_than_the_view_give_few_patches(write_raster, make_scene):
     scene = make_scene(write_raster(hills(20, 20, 3000), "EPSG:32633", 0, 9_000_000, 50_000.0), 200, 30)
     view = scene.view(bounds=(500000, 8500000, 500100, 8500100), size=(256, 256))
     _, found = casters(scene, view)
@@ -79,7 +79,7 @@ def test_cells_far_larger_than_the_view_bring_few_patches(write_raster, make_sce
     assert len({(patch.level, patch.row, patch.col) for patch in found.patches}) == len(found.patches)
 
 
-def test_coarse_detail_comes_with_distance(write_raster, make_scene):
+def test_caster_detail_falls_only_with_distance(write_raster, make_scene):
     scene = make_scene(write_raster(hills(300, 300, 4000), "EPSG:32633", 300_000, 5_300_000, 500.0), 180, 1)
     view = scene.view(bounds=(370_000, 5_228_000, 371_000, 5_229_000), size=(512, 512))
     buffer, found = casters(scene, view)
@@ -94,8 +94,11 @@ def test_coarse_detail_comes_with_distance(write_raster, make_scene):
         assert max(row, col) <= 4096 * 2**patch.level, "detail falls only with distance"
 
 
-def test_a_map_far_finer_than_its_raster_reads_little_ground_and_shades_the_same(gl, write_raster, make_scene, monkeypatch):
-    """Over cells of 10 m full detail would be read 80 m around pixels of 2 cm, and 300 m around ones of 8 cm."""
+def test_a_map_finer_than_its_raster_reads_few_patches(gl, write_raster, make_scene, monkeypatch):
+    """Over cells of 10 m, full detail would be read 80 m around pixels of 2 cm, and 300 m around pixels of 8 cm.
+
+    Reduced detail leaves the shadows the same.
+    """
     scene = make_scene(write_raster(hills(60, 60, 60), "EPSG:32633", 500_000, 6_000_600, 10.0), 200, 12)
     close, wide = (scene.view(bounds=(500_300, 6_000_300, 500_300 + m, 6_000_300 + m), size=(256, 256)) for m in (5, 20))
     sparing = len(casters(scene, close)[1].patches), render(scene, wide, algorithm="shadow_map", filter=1, map_size=1024)

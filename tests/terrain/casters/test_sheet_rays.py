@@ -1,4 +1,4 @@
-"""Rays walked through sheets meet what Embree's meet, and slip through nowhere."""
+"""Rays that are walked through sheets hit what Embree's rays hit, and leak nowhere."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SUNS = [(237.0, 3.0), (120.0, 15.0), (0.0, 30.0), (200.0, 62.0), (0.0, 90.0)]
 
 
 def rough(seed: int, rows: int, cols: int, step_m: float, holes: int = 0, first_col: int = 0) -> Sheet:
-    """Rough ground, bent as the earth's is, with missing nodes."""
+    """Return rough ground with the earth's curvature and missing nodes."""
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid((first_col + np.arange(cols)) * step_m, -np.arange(rows) * step_m)
     z = rng.normal(size=(rows, cols)).cumsum(0).cumsum(1) * 0.02 * step_m + rng.normal(size=(rows, cols)) * 0.1 * step_m
@@ -28,7 +28,7 @@ def rough(seed: int, rows: int, cols: int, step_m: float, holes: int = 0, first_
 
 
 def starts_on(sheet: Sheet, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points on some of a sheet's triangles (n, 3), and these triangles' normals."""
+    """Return random points on a sheet's triangles (n, 3), and these triangles' normals."""
     rng, nodes = np.random.default_rng(seed), sheet.position_frame_m.reshape(-1, 3)
     corners = nodes[sheet.triangles[rng.integers(0, len(sheet.triangles), count)]]
     share = rng.dirichlet([1.0, 1.0, 1.0], count)
@@ -37,8 +37,11 @@ def starts_on(sheet: Sheet, count: int, seed: int) -> tuple[np.ndarray, np.ndarr
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
-def test_decidable_rays_end_where_those_of_embree_do(azimuth, altitude):
-    """Fine and coarser ground side by side, with holes, and a body: odd numbers of nodes, which fill no tile."""
+def test_walked_rays_agree_with_embree_where_decidable(azimuth, altitude):
+    """A ray is decidable if one, two and four times the start offset give the same answer.
+
+    Fine and coarser ground lie side by side, with holes and a body. Their odd node counts fill no tile.
+    """
     sun = direction_enu(azimuth, altitude)
     sheets = [rough(3, 131, 94, 30.0, holes=40), rough(4, 66, 37, 60.0, first_col=47), rough(5, 3, 2, 500.0)]
     meshes = [box([1500.0, -900.0, 200.0], [80.0, 40.0, 150.0])]
@@ -54,9 +57,10 @@ def test_decidable_rays_end_where_those_of_embree_do(azimuth, altitude):
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
-def test_nothing_slips_through_sides_and_corners(azimuth, altitude):
-    """From below, towards nodes, towards the middles of quads' sides, and towards the diagonals' middles; on ground that is never
-    as steep as the rays, for beside an outline rounding decides.
+def test_walked_rays_leak_at_no_edge_or_node(azimuth, altitude):
+    """Rays start below the ground and aim at nodes, at the middles of quads' sides and at the middles of their diagonals.
+
+    The ground is never as steep as the rays, because rounding decides beside a silhouette.
     """
     sun, nodes = direction_enu(azimuth, altitude), rough(7, 40, 40, 10.0).position_frame_m
     steepest = max(np.abs(np.diff(nodes[..., 2], axis=axis)).max() for axis in (0, 1)) / 10.0
@@ -71,8 +75,8 @@ def test_nothing_slips_through_sides_and_corners(azimuth, altitude):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_sides_and_corners_belong_to_a_triangle(way):
-    """Where all is exact: vertical rays on whole and half metres of a level sheet."""
+def test_edges_and_nodes_belong_to_a_triangle(way):
+    """All values are exact: vertical rays meet a level sheet at whole and half metres."""
     x, y = np.meshgrid(np.arange(9.0), -np.arange(9.0))
     places = np.stack(np.meshgrid(np.arange(0.0, 8.1, 0.5), -np.arange(0.0, 8.1, 0.5)), -1).reshape(-1, 2)
     starts = np.column_stack([places, np.full(len(places), -way)])
@@ -81,7 +85,7 @@ def test_sides_and_corners_belong_to_a_triangle(way):
         assert SheetRays([sheet], np.zeros(3)).blocked(starts, np.array([0.0, 0.0, way])).all()
 
 
-def test_one_sheet_is_walked_for_one_direction_after_another():
+def test_a_sheet_is_walked_in_several_directions():
     sheet = rough(8, 60, 60, 30.0)
     walked, embree = RayScene([sheet], walked=True), RayScene([sheet])
     points, _ = starts_on(sheet, 2000, 9)
@@ -91,7 +95,7 @@ def test_one_sheet_is_walked_for_one_direction_after_another():
         assert (walked.blocked(starts, sun) == embree.blocked(starts, sun)).mean() > 0.999
 
 
-def test_what_cannot_be_walked_is_refused_and_nothing_stops_nothing():
+def test_walked_rays_refuse_lengths_and_accept_empty_input():
     sun, points = direction_enu(180.0, 20.0), np.zeros((3, 3))
     scene = RayScene([rough(1, 8, 8, 1.0)], walked=True)
     for wrong in ({"direction": np.tile(sun, (3, 1))}, {"direction": sun, "length_m": np.ones(3)}):

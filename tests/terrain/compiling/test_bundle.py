@@ -1,4 +1,4 @@
-"""Loops that come with a wheel are used where version and processor are those that they were compiled for."""
+"""Bundled loops of a wheel are used if the versions and the processor match those that they were compiled for."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ def bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_fitting_loops_are_used(bundle: Path) -> None:
+def test_matching_bundled_loops_are_used(bundle: Path) -> None:
     assert use_bundled_loops(bundle, bundle / "cpuinfo")
     assert {name: os.environ[name] for name in TARGET} == TARGET
     assert use_bundled_loops(bundle, bundle / "cpuinfo"), "in a child process, too"
 
 
-def test_loops_of_another_version_are_ignored(bundle: Path) -> None:
+def test_bundled_loops_of_another_version_are_ignored(bundle: Path) -> None:
     (bundle / VERSIONS).write_text(json.dumps(installed_versions() | {"numba": "0.1"}), encoding="utf-8")
     assert not use_bundled_loops(bundle, bundle / "cpuinfo") and not set(TARGET) & set(os.environ)
 
 
-def test_a_processor_without_the_instructions_compiles_for_itself(bundle: Path) -> None:
+def test_bundled_loops_need_the_processor_s_instructions(bundle: Path) -> None:
     text = (bundle / "cpuinfo").read_text(encoding="ascii")
     (bundle / "cpuinfo").write_text(text.replace(" avx2 ", " "), encoding="ascii")
     assert not use_bundled_loops(bundle, bundle / "cpuinfo") and not set(TARGET) & set(os.environ)
 
 
-def test_another_machine_and_a_clone_compile_for_themselves(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bundled_loops_need_x86_64_and_a_bundle(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not use_bundled_loops(bundle / "none", bundle / "cpuinfo")
     monkeypatch.setattr("platform.machine", lambda: "aarch64")
     assert not use_bundled_loops(bundle, bundle / "cpuinfo") and not set(TARGET) & set(os.environ)
 
 
-def test_what_the_user_says_of_the_processor_stands(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bundled_loops_respect_the_user_s_cpu_settings(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
     assert not use_bundled_loops(bundle, bundle / "cpuinfo")
     assert os.environ["NUMBA_CPU_NAME"] == "generic" and "NUMBA_CPU_FEATURES" not in os.environ

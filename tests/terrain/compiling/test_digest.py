@@ -1,4 +1,4 @@
-"""The digest of a loop: it changes with everything that the machine code depends on, and with nothing else."""
+"""The digest of a loop changes with everything that its machine code depends on, and with nothing else."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def top(x):
 
 @pytest.fixture
 def digest_of_top(monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
-    """``digest_of_top((module, old, new), ...)`` gives the digest of ``top`` after text of modules was replaced."""
+    """Return a function that digests ``top`` after replacing text of modules: ``digest_of_top((module, old, new), ...)``."""
 
     def made(*edits: tuple[str, str, str]) -> str:
         sources = dict(MODULES)
@@ -111,7 +111,7 @@ def digest_of_top(monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
         pytest.param(("digest_base", "@compiled\n", "import numba\n\n@numba.njit(fastmath=True)\n"), id="options of a callee"),
     ],
 )
-def test_digest_changes_with_what_machine_code_depends_on(digest_of_top: Callable[..., str], edit: tuple[str, str, str]) -> None:
+def test_digest_changes_with_inputs_of_the_machine_code(digest_of_top: Callable[..., str], edit: tuple[str, str, str]) -> None:
     assert digest_of_top(edit) != digest_of_top()
 
 
@@ -125,13 +125,13 @@ def test_digest_changes_with_what_machine_code_depends_on(digest_of_top: Callabl
         pytest.param([], id="nothing"),
     ],
 )
-def test_digest_ignores_what_leaves_machine_code_alone(
+def test_digest_ignores_comments_and_uncalled_functions(
     digest_of_top: Callable[..., str], edits: list[tuple[str, str, str]]
 ) -> None:
     assert digest_of_top(*edits) == digest_of_top()
 
 
-def test_a_plain_function_compiled_into_a_loop_counts(digest_of_top: Callable[..., str]) -> None:
+def test_digest_includes_plain_functions_that_a_loop_calls(digest_of_top: Callable[..., str]) -> None:
     called = ("digest_middle", "deepest(x) + HALF", "digest_base.helper(x) + HALF")
     assert digest_of_top(called, ("digest_base", "x + 1.0", "x + 2.0")) != digest_of_top(called)
 

@@ -1,4 +1,4 @@
-"""Loops compiled ahead in several processes: callees first, in the order of products, whatever becomes of a child."""
+"""Loops are compiled ahead in several processes: callees first, in the order of products, even if a child process dies."""
 
 from __future__ import annotations
 
@@ -74,14 +74,14 @@ def test_callees_are_compiled_before_their_callers(tmp_path: Path) -> None:
     assert missing == "missing:"
 
 
-def test_a_killed_child_costs_its_loop_alone(tmp_path: Path) -> None:
+def test_a_killed_child_loses_only_the_loop_it_compiled(tmp_path: Path) -> None:
     (*order, missing), said = run(tmp_path, processes=2, deadly=True)
     assert sorted(order) == ["leaf", "middle", "other", "top"]
     assert said.count("was killed") == 2 and str(tmp_path / "store") in said, "top compiles middle, too, in the other child"
     assert "leaf" not in missing and "other" not in missing
 
 
-def test_first_products_go_first_and_of_them_the_longest_chain() -> None:
+def test_queue_takes_first_products_then_longest_chains() -> None:
     class Loop:
         def __init__(self, code: str) -> None:
             self.py_func = eval(f"lambda x: {code}")
@@ -97,7 +97,7 @@ def nothing_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hooks, "_compiled", set())
 
 
-def test_needed_products_are_compiled_when_a_loop_is_missing_and_once(nothing_needed: None) -> None:
+def test_needed_products_are_compiled_once(nothing_needed: None) -> None:
     asked: list[list[str]] = []
     with missing_loop_compiler(lambda products: asked.append(list(products))):
         assert not compile_needed_products(), "nothing is needed yet"
@@ -111,7 +111,7 @@ def test_needed_products_are_compiled_when_a_loop_is_missing_and_once(nothing_ne
     assert asked == [["masks"], ["points"]]
 
 
-def test_types_of_all_recorded_loops_are_what_was_encoded() -> None:
+def test_recorded_signatures_survive_encoding() -> None:
     recorded = recorded_signatures()
     assert {product for each in recorded for product in each.products} == set(PRODUCTS)
     for each in recorded:
@@ -120,18 +120,18 @@ def test_types_of_all_recorded_loops_are_what_was_encoded() -> None:
         assert each.dispatcher().py_func.__name__ in each.loop
 
 
-def test_only_loops_of_the_products_asked_for_are_recorded_for_them() -> None:
+def test_recorded_signatures_are_filtered_by_product() -> None:
     chosen = recorded_signatures(["points"])
     assert chosen and all("points" in each.products for each in chosen) and len(chosen) < len(recorded_signatures())
 
 
-def test_a_process_that_cannot_be_started_is_no_error(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_compile_ahead_logs_a_process_that_cannot_start(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr(ahead_of_time.sys, "executable", "/nonexistent/python")
     compile_ahead(["points"], 1)
     assert "cannot be compiled ahead" in caplog.text
 
 
-def test_an_interrupt_ends_the_process_that_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_kills_the_compiling_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "store"))
     started: list[subprocess.Popen[str]] = []
 
@@ -144,7 +144,7 @@ def test_an_interrupt_ends_the_process_that_compiles(tmp_path: Path, monkeypatch
     assert started[0].returncode == -signal.SIGKILL
 
 
-def test_a_store_that_cannot_be_written_compiles_nothing_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unwritable_store_compiles_nothing_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
     steps: list[int] = []
@@ -160,8 +160,8 @@ compile_ahead(PRODUCTS, 2, lambda task, done, total: print(farms[0], flush=True)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's own")
-def test_what_compiles_ends_with_a_command_that_is_killed(tmp_path: Path) -> None:
-    """It and its children compiled on, for most of a minute, with nobody to wait for it."""
+def test_compiling_processes_end_with_a_killed_command(tmp_path: Path) -> None:
+    """Without this, the process and its children compiled on for most of a minute, with nobody to wait for the result."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path), "SKUGGA_TEST_RUN": str(tmp_path)}
     with subprocess.Popen([sys.executable, "-c", KILLED], env=environment, stdout=subprocess.PIPE, text=True) as command:
         assert command.stdout is not None and int(command.stdout.readline()) in processes_of(tmp_path)
@@ -173,7 +173,7 @@ def test_what_compiles_ends_with_a_command_that_is_killed(tmp_path: Path) -> Non
 
 
 def processes_of(run: Path) -> list[int]:
-    """Processes that have the environment of a run."""
+    """Return the ids of processes that have the environment of a run."""
     found = []
     for entry in Path("/proc").iterdir():
         with suppress(OSError):

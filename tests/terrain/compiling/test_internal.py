@@ -1,4 +1,4 @@
-"""Internal loops: part of the compiled loops that call them, and nothing for Python."""
+"""Internal loops are compiled into the loops that call them, and Python cannot call them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_python_cannot_call_an_internal_loop() -> None:
         _of(np.arange(5.0), 1)
 
 
-def test_python_names_no_internal_loop() -> None:
+def test_python_code_names_no_internal_loop() -> None:
     called = [
         f"{path.relative_to(ROOT)}: {name}"
         for package in ("api", "benchmarks", "selector", "shadows", "terrain")
@@ -55,7 +55,7 @@ def test_python_names_no_internal_loop() -> None:
 
 
 def _named_by_python(module: ast.Module) -> Iterator[str]:
-    """The internal loops of a module, its own and imported ones, that code outside of loops names."""
+    """Yield the internal loops of a module, defined there or imported, that code outside of loops names."""
     imported = {
         alias.asname or alias.name
         for node in ast.walk(module)
@@ -79,6 +79,6 @@ def _internal_of(name: str) -> set[str]:
 
 
 def _kind_of(function: ast.FunctionDef) -> str | None:
-    """Whether a function is a loop, and which kind of one."""
+    """Return the name of the decorator that makes a function a loop, or ``None``."""
     names = {decorator.id for decorator in function.decorator_list if isinstance(decorator, ast.Name)}
     return next((name for name in ("internal", "compiled") if name in names), None)

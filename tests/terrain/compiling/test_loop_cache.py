@@ -1,4 +1,4 @@
-"""Compiled loops across processes: stored machine code is used where it is right, and never where it is stale."""
+"""The loop cache across processes: stored machine code is used where it is valid, and never where it is stale."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ if __name__ == "__main__":
 
 
 class Modules:
-    """Two modules in a folder, and what a new process prints that runs them with one store of loops."""
+    """Two modules in a folder. ``run`` returns what a new process prints that uses their shared store of loops."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -94,7 +94,7 @@ def test_the_second_process_compiles_nothing(modules: Modules) -> None:
         ("first: float\n    second: float", "second: float\n    first: float\n    # a comment", "4.0 8.0 2.0 compiling"),
     ],
 )
-def test_a_change_in_another_module_compiles_the_caller_again(modules: Modules, old: str, new: str, printed: str) -> None:
+def test_a_change_in_a_callee_s_module_recompiles_the_caller(modules: Modules, old: str, new: str, printed: str) -> None:
     modules.run()
     assert old in CALLEE
     modules.write("b", CALLEE.replace(old, new))
@@ -112,21 +112,21 @@ def test_a_touched_file_and_an_edited_comment_compile_nothing(modules: Modules) 
     assert modules.run() == "4.0 8.0 2.0"
 
 
-def test_a_setting_of_the_compiler_is_another_entry(modules: Modules) -> None:
+def test_compiler_settings_are_part_of_the_cache_key(modules: Modules) -> None:
     modules.run()
     assert modules.run(NUMBA_OPT="1").endswith("compiling")
     assert not modules.run(NUMBA_OPT="1").endswith("compiling")
     assert modules.run(NUMBA_CPU_NAME="x86-64-v3", NUMBA_CPU_FEATURES="").endswith("compiling")
 
 
-def test_a_global_replaced_in_a_running_process_is_stored_nowhere(modules: Modules) -> None:
+def test_a_global_replaced_at_run_time_is_never_stored(modules: Modules) -> None:
     """``g`` is compiled for floats with the old value, and for integers with the new one; callers may hold either."""
     code = "import a, b; a.f(2.0); b.FACTOR = 50.0; print(a.f(2.0), a.f(2), b.g(2), a.derived(1.0))"
     assert modules.run(code=code) == "4.0 100.0 100.0 4.0"
     assert modules.run(code="import a, b; print(a.f(2.0), a.f(2), b.g(2))") == "4.0 4.0 4.0"
 
 
-def test_a_truncated_entry_is_compiled_again(modules: Modules) -> None:
+def test_a_truncated_entry_is_recompiled(modules: Modules) -> None:
     modules.run()
     for path in (modules.folder / "store").glob("*.loop"):
         path.write_bytes(path.read_bytes()[:100])
@@ -135,13 +135,13 @@ def test_a_truncated_entry_is_compiled_again(modules: Modules) -> None:
     assert modules.run() == "4.0 8.0 2.0"
 
 
-def test_a_file_in_place_of_the_folder_is_told_once(modules: Modules) -> None:
+def test_a_file_in_place_of_the_folder_is_reported_once(modules: Modules) -> None:
     (modules.folder / "store").write_text("")
     printed = modules.run()
     assert printed.startswith("4.0 8.0 2.0 compiling") and printed.count(str(modules.folder / "store")) == 1
 
 
-def test_processes_that_compile_at_the_same_time_lose_nothing(modules: Modules) -> None:
+def test_concurrent_processes_lose_no_entry(modules: Modules) -> None:
     environment = {"PYTHONPATH": f"{modules.folder}:{ROOT}", "NUMBA_CACHE_DIR": str(modules.folder / "store")}
     arguments = ["2", "2.0", "b.np.float32(2)"]
     started = [
@@ -156,5 +156,5 @@ def test_processes_that_compile_at_the_same_time_lose_nothing(modules: Modules) 
     assert modules.run(code=code) == "4.0 4.0 4.0"
 
 
-def test_python_may_be_told_not_to_compile(modules: Modules) -> None:
+def test_numba_disable_jit_runs_plain_python(modules: Modules) -> None:
     assert modules.run(NUMBA_DISABLE_JIT="1") == "4.0 8.0 2.0"

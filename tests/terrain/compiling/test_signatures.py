@@ -1,4 +1,4 @@
-"""The list of recorded loops is that of the loops there are."""
+"""The recorded signatures match the loops of the code."""
 
 import importlib
 import pkgutil
@@ -32,11 +32,11 @@ RARE = {
     "skugga.terrain.trees.canopy": "levels with a canopy",
     "skugga.terrain.viewpoint": "cameras that Skugga places",
 }
-"""Modules with stored loops that no product has recorded, and who needs these: they are compiled when they are called."""
+"""Modules with stored loops that no product records, and what needs them: their loops are compiled on the first call."""
 
 
 def stored_loops() -> set[str]:
-    """Module and name of every loop that is stored for other processes."""
+    """Return module and name of every loop that is stored for other processes."""
     found = set()
     for package in (terrain, shadows, selector, api):
         for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
@@ -49,7 +49,7 @@ def stored_loops() -> set[str]:
 
 
 @pytest.mark.parametrize("product", PRODUCTS)
-def test_what_is_recorded_can_be_compiled(product):
+def test_recorded_signatures_fit_their_functions(product):
     recorded = recorded_signatures([product])
     assert recorded
     for each in recorded:
@@ -58,6 +58,6 @@ def test_what_is_recorded_can_be_compiled(product):
 
 
 def test_all_stored_loops_are_recorded():
-    """A new one, or one that has another name: ``python scripts/record_signatures.py``."""
+    """After a loop is added or renamed, run ``python scripts/record_signatures.py``."""
     left = stored_loops() - {each.loop for each in recorded_signatures()}
     assert {each.partition(":")[0] for each in left} == set(RARE)

@@ -1,4 +1,4 @@
-"""Files of compiled loops: what is written is read, what is damaged or foreign is not, and the folder stays within its bound."""
+"""Files of compiled loops: written entries are read, damaged or foreign ones are not, and the folder's size stays bounded."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_an_entry_is_read_as_it_was_written(store: LoopStore) -> None:
 @pytest.mark.parametrize(
     "damage", [lambda entry: entry[:-1], lambda entry: b"", lambda entry: b"\x80" + entry[1:], lambda entry: entry + b"x"]
 )
-def test_a_damaged_entry_is_not_used_and_told_once(
+def test_a_damaged_entry_is_ignored_and_reported_once(
     store: LoopStore, caplog: pytest.LogCaptureFixture, damage: Callable[[bytes], bytes]
 ) -> None:
     for name in ("a", "b"):
@@ -45,7 +45,7 @@ def test_a_damaged_entry_is_not_used_and_told_once(
     assert store.read("a") == b"machine code"
 
 
-def test_an_entry_that_others_may_write_is_not_run(store: LoopStore, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_entry_that_others_may_write_is_not_read(store: LoopStore, caplog: pytest.LogCaptureFixture) -> None:
     store.write("a", b"machine code")
     (store.folder / ("a" + SUFFIX)).chmod(0o666)
     assert store.read("a") is None
@@ -53,13 +53,13 @@ def test_an_entry_that_others_may_write_is_not_run(store: LoopStore, caplog: pyt
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only the administrator can give files away")
-def test_an_entry_of_another_user_is_not_run(store: LoopStore) -> None:
+def test_an_entry_of_another_user_is_not_read(store: LoopStore) -> None:
     store.write("a", b"machine code")
     os.chown(store.folder / ("a" + SUFFIX), 12345, 12345)
     assert store.read("a") is None
 
 
-def test_a_full_disk_is_told_once_and_leaves_nothing(
+def test_a_full_disk_is_reported_once_and_leaves_no_file(
     store: LoopStore, full_disk: Callable[[int], AbstractContextManager[None]], caplog: pytest.LogCaptureFixture
 ) -> None:
     with full_disk(1000):
@@ -70,7 +70,7 @@ def test_a_full_disk_is_told_once_and_leaves_nothing(
     assert store.problem is not None and str(store.folder) in store.problem and "NUMBA_CACHE_DIR" in store.problem
 
 
-def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_folder_that_cannot_be_created_is_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").write_text("no folder")
     store = LoopStore(tmp_path / "file" / "loops")
     store.write("a", b"machine code")

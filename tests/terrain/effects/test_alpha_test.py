@@ -1,4 +1,4 @@
-"""Alpha-tested casters: called for where any tree is drawn, and on record where an algorithm took foliage on."""
+"""Alpha-tested casters: called for where any tree is drawn, and recorded where an algorithm handles foliage."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.rasters import ENGINEERING
 
 @pytest.fixture
 def wood(write_raster, make_scene, tmp_path: Path):
-    """One tree of 4 m in the middle of a floor of 2 km, and a lamp over it."""
+    """Return a factory of scenes with one tree of 4 m in the middle of a floor of 2 km."""
     raster = write_raster(np.zeros((40, 40), np.float32), ENGINEERING, -1000.0, 1000.0, 50.0)
     tree = shapely.to_wkb(np.array([shapely.Point(0.0, 0.0)], object))
     raw.write(tmp_path / "tree.gpkg", tree, [np.array([4.0])], ["height"], geometry_type="Point", crs=ENGINEERING)
@@ -34,7 +34,7 @@ def eye(north_m: float, height_m: float) -> dict:
     return {"kind": "perspective", "eye": [0.0, north_m, height_m], "target": [0.0, north_m + 1.0, 0.0], "size": [64, 48]}
 
 
-def test_a_tree_too_small_to_be_drawn_calls_for_nothing(gl, wood):
+def test_a_tree_too_small_to_be_drawn_needs_no_alpha_test(gl, wood):
     scene = wood()
     small, large = (scene.view(bounds=(-m, -m, m, m), size=(64, 64)) for m in (900.0, 30.0))
     assert "alpha_test" in make_plan(describe(scene, large), scene.loaded.level).runs
@@ -44,7 +44,7 @@ def test_a_tree_too_small_to_be_drawn_calls_for_nothing(gl, wood):
 
 
 @pytest.mark.parametrize("pixel_m", [0.2, 1.0, 2.0, 5.0, 20.0, 60.0])
-def test_what_a_map_draws_is_known_without_drawing_it(wood, pixel_m: float):
+def test_map_draws_trees_agrees_with_tree_instances(wood, pixel_m: float):
     scene = wood()
     view = scene.view(bounds=(-50.0, -50.0, 50.0, 50.0), size=(20, 20))
     frame = scene.world.frame_near(view.grid.crs, *view.centre)
@@ -54,8 +54,8 @@ def test_what_a_map_draws_is_known_without_drawing_it(wood, pixel_m: float):
 
 @pytest.mark.parametrize("lights", [{}, {"lamp": {"kind": "omni", "position": [0.0, 0.0, 300.0]}}], ids=["sun", "lamp"])
 @pytest.mark.parametrize("height_m", [20.0, 20000.0])
-def test_an_eye_from_which_no_tree_is_drawn_is_described(gl, wood, lights: dict, height_m: float):
-    """Far up, every tree is thinned out: a stand of none."""
+def test_a_view_without_drawn_trees_is_described(gl, wood, lights: dict, height_m: float):
+    """From far up every tree is thinned out, so the stand is empty."""
     scene = wood(lights=lights, views={"eye": eye(10.0, height_m)})
     view = scene.view("eye")
     frame = render_frame(scene, view, make_plan(describe(scene, view, "eye"), scene.loaded.level))
@@ -63,7 +63,7 @@ def test_an_eye_from_which_no_tree_is_drawn_is_described(gl, wood, lights: dict,
     assert ("alpha_test" in frame.effects) <= (height_m < 1000.0)
 
 
-def test_a_window_that_no_tree_shades_has_the_record_of_its_plan(gl, wood):
+def test_a_window_without_tree_shade_records_its_plan(gl, wood):
     scene = wood()
     view = scene.view(bounds=(700.0, 700.0, 760.0, 760.0), size=(64, 64))
     frame = render_frame(scene, view, make_plan(describe(scene, view), scene.loaded.level))

@@ -37,7 +37,7 @@ UTM = "EPSG:32616"
 
 @pytest.fixture
 def cloudy(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene]:
-    """A plain with a low rise under clouds; ``size`` nodes of 50 m a side."""
+    """Return a factory of scenes: a plain with a low rise under clouds, ``size`` nodes of 50 m along each side."""
 
     def make(cover: float, size: int = 120, **keys) -> Scene:
         x = np.arange(size) - size / 2
@@ -55,7 +55,7 @@ def densities(cover: float, step_m: float = 130.7, side: int = 400) -> np.ndarra
 
 
 def sunlight_of(scene: Scene, view=None) -> np.ndarray:
-    """The share of the sun that the clouds alone let through."""
+    """Return the share of the sunlight that the clouds alone transmit."""
     view = view or scene.view()
     buffer = geometry_buffer(scene, view)
     light = np.ones(buffer.valid.shape, np.float32)
@@ -69,13 +69,13 @@ def plan_of(scene: Scene, view, wish: str = "auto") -> Plan:
 
 
 @pytest.mark.parametrize("cover", [0.02, 0.1, 0.35, 0.5, 0.8, 0.97])
-def test_the_share_of_shaded_ground_is_the_cover(cover: float) -> None:
+def test_shaded_share_of_the_ground_is_the_cloud_cover(cover: float) -> None:
     density = densities(cover)
     assert np.mean(density > 0.5) == pytest.approx(cover, abs=0.03)
     assert density.mean() == pytest.approx(cover, abs=0.03)
 
 
-def test_no_cloud_at_no_cover_and_no_gap_at_a_whole_one() -> None:
+def test_cover_0_has_no_cloud_and_cover_1_has_no_gap() -> None:
     assert threshold_of(0.0) - CLOUD_EDGE_WIDTH / 2 >= NOISE_BOUND
     assert threshold_of(1.0) + CLOUD_EDGE_WIDTH / 2 <= -NOISE_BOUND
     covers = np.linspace(0.0, 1.0, 401)
@@ -84,14 +84,14 @@ def test_no_cloud_at_no_cover_and_no_gap_at_a_whole_one() -> None:
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(0.0, 0.999))
-def test_little_more_cover_is_little_more_cloud(x: float, y: float, cover: float) -> None:
+def test_density_grows_continuously_with_the_cover(x: float, y: float, cover: float) -> None:
     less, more = (density_at(x, y, threshold_of(c)) for c in (cover, cover + 1e-6))
     assert 0.0 <= less <= more <= less + 0.05
 
 
 @given(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5), st.floats(0.0, 2 * np.pi), st.integers(0, 99))
 @settings(max_examples=300)
-def test_bounds_of_the_noise(x: float, y: float, turn: float, seed: int) -> None:
+def test_noise_and_its_slope_stay_within_their_bounds(x: float, y: float, turn: float, seed: int) -> None:
     step = 1e-5
     here, ahead = noise_at(x, y, seed), noise_at(x + step * np.cos(turn), y + step * np.sin(turn), seed)
     assert abs(here) <= MAX_NOISE
@@ -100,7 +100,7 @@ def test_bounds_of_the_noise(x: float, y: float, turn: float, seed: int) -> None
 
 @given(st.floats(-2e4, 2e4), st.floats(-2e4, 2e4), st.floats(100.0, 3000.0), st.floats(1e-3, 0.2))
 @settings(max_examples=20)
-def test_no_place_in_a_box_is_denser_than_its_densest(west: float, south: float, side: float, cover: float) -> None:
+def test_max_density_bounds_every_place_in_a_box(west: float, south: float, side: float, cover: float) -> None:
     threshold = threshold_of(cover)
     found = max(
         density_at(x, y, threshold) for x in np.linspace(west, west + side, 60) for y in np.linspace(south, south + side, 60)
@@ -112,14 +112,14 @@ def test_no_place_in_a_box_is_denser_than_its_densest(west: float, south: float,
     assert bound <= found + slope * (fine + 1.0)
 
 
-def test_what_is_not_worked_out_changes_nothing() -> None:
+def test_skipped_noise_octaves_do_not_change_the_density() -> None:
     threshold = threshold_of(0.3)
     for x in range(0, 40_000, 997):
         whole = clouds._noise(float(x), 0.7 * x, -np.inf, np.inf)
         assert density_at(float(x), 0.7 * x, threshold) == clouds._density(whole, threshold)
 
 
-def test_the_shadow_lies_where_the_ray_to_the_sun_meets_the_layer(make_scene, write_raster) -> None:
+def test_cloud_shadow_follows_the_ray_to_the_sun(make_scene, write_raster) -> None:
     heights = np.full((40, 40), 300.0, np.float32)
     scene = make_scene(write_raster(heights, UTM, 500_000.0, 1000.0, 50.0), 90.0, 45.0, weather={"cloud_cover": 0.4})
     layer, view = cloud_layer_of(scene), scene.view()
@@ -127,20 +127,20 @@ def test_the_shadow_lies_where_the_ray_to_the_sun_meets_the_layer(make_scene, wr
     light, buffer = sunlight_of(scene, view), geometry_buffer(scene, view)
     points = buffer.position_frame_m @ buffer.frame.frame_from_earth + buffer.frame.origin_earth_m - scene.world.anchor_earth_m
     east, north, _ = np.moveaxis(points @ scene.world.earth_from_anchor, -1, 0)
-    # The sun stands in the east at 45 degrees: the cloud over a point is as far to the east as it is high.
+    # The sun stands in the east at 45 degrees: the cloud that shades a point is as far east of it as it is high.
     for i, j in ((3, 5), (500, 500), (1000, 900)):
         expected = 1.0 - layer.max_opacity * density_at(east[i, j] + CLOUD_HEIGHT_M, north[i, j], layer.threshold)
         assert light[i, j] == pytest.approx(expected, abs=2e-3)
 
 
-def test_same_ground_same_cloud_in_every_view(cloudy) -> None:
+def test_clouds_over_the_same_ground_agree_in_every_view(cloudy) -> None:
     scene = cloudy(0.4)
     whole = scene.view()
     part = whole.part(200, 300, 150, 170)
     assert np.array_equal(sunlight_of(scene, whole)[200:350, 300:470], sunlight_of(scene, part))
 
 
-def test_clouds_drift_by_the_clock(cloudy) -> None:
+def test_clouds_drift_with_the_clock(cloudy) -> None:
     scene = cloudy(0.4)
     layer, later = cloud_layer_of(scene), cloud_layer_of(scene.at_second(60.0))
     east, north = later.drift_m - layer.drift_m
@@ -167,7 +167,7 @@ def test_pixels_wider_than_the_clouds_show_their_mean(cloudy) -> None:
         ({"weather": {"cloud_cover": 1e-5}}, "block at most 0.0%"),
     ],
 )
-def test_left_out(make_scene, write_raster, keys: dict, reason: str) -> None:
+def test_clouds_are_left_out_with_a_reason(make_scene, write_raster, keys: dict, reason: str) -> None:
     heights = np.zeros((40, 40), np.float32)
     scene = make_scene(write_raster(heights, UTM, 700_000.0, 4_000_000.0, 50.0), **keys)
     view = scene.view(size=(60, 60))
@@ -177,8 +177,8 @@ def test_left_out(make_scene, write_raster, keys: dict, reason: str) -> None:
     assert np.array_equal(on, off)
 
 
-def test_left_out_where_it_cannot_be_seen_and_called_for_where_it_can(cloudy) -> None:
-    # A cover at which there is a cloud over this ground at some times, and none at others.
+def test_clouds_are_called_for_only_where_they_show(cloudy) -> None:
+    # At this cover a cloud lies over this ground at some times, and none at others.
     scene = cloudy(0.02, size=40)
     called, vain = 0, 0
     for second in range(0, 8000, 400):
@@ -195,7 +195,7 @@ def test_left_out_where_it_cannot_be_seen_and_called_for_where_it_can(cloudy) ->
 
 
 @pytest.mark.parametrize("altitude", [0.0001, 0.003, 0.1, 0.5, 1.0])
-def test_a_low_sun_over_a_plain(make_scene, write_raster, altitude: float) -> None:
+def test_clouds_left_out_under_a_low_sun_do_not_show(make_scene, write_raster, altitude: float) -> None:
     heights = np.zeros((40, 40), np.float32)
     scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 2000.0, 50.0), 90.0, altitude, weather={"cloud_cover": 0.6})
     view = scene.view(size=(160, 160))
@@ -204,7 +204,7 @@ def test_a_low_sun_over_a_plain(make_scene, write_raster, altitude: float) -> No
         assert np.abs(on - off).max() <= 1
 
 
-def test_clouds_are_no_shadows_of_the_terrain(cloudy) -> None:
+def test_clouds_change_color_but_not_visibility(cloudy) -> None:
     scene = cloudy(0.5)
     view = scene.view(size=(160, 160))
     on, off = (render_frame(scene, view, plan_of(scene, view, wish)) for wish in ("on", "off"))
@@ -212,7 +212,7 @@ def test_clouds_are_no_shadows_of_the_terrain(cloudy) -> None:
     assert not np.array_equal(on.color, off.color)
 
 
-def test_perspective_counts_what_is_seen(cloudy) -> None:
+def test_clouds_in_perspective_count_visible_ground_only(cloudy) -> None:
     anchor = {"kind": "perspective", "fov": 40, "size": [96, 64]}
     scene = cloudy(0.4, views={"down": {**anchor, "eye": [-84.77, 36.09, 400], "target": [-84.7701, 36.0901, 0]}})
     level = scene.loaded.level

@@ -1,4 +1,4 @@
-"""Light through crowns: on leaves that leaves hide, not on what ground or meshes hide; and normals that hide the cross."""
+"""Light through crowns reaches leaves behind leaves, but none behind ground or meshes; normals hide the crossed quads."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TREE_HEIGHT_M = 12.0
 
 @pytest.fixture
 def wall(tmp_path):
-    """``wall(**keys)`` is a floor with a wall of ground 60 m high in the west of it, and a tree in its middle."""
+    """``wall(**keys)`` builds a floor with a wall of ground 60 m high in its west, and a tree in its middle."""
     heights = np.zeros((64, 64), np.float32)
     heights[:, :6] = 60.0
     write_geotiff(tmp_path / "wall.tif", heights, ENGINEERING, -320.0, 320.0, 10.0)
@@ -50,7 +50,7 @@ def wall(tmp_path):
 
 
 def lit(scene: Scene, points: np.ndarray, seen: np.ndarray, kind: int = FOREST) -> np.ndarray:
-    """The share of sunlight (n,) on leaves at points (n, 3) of which algorithms see so much (n,)."""
+    """Return the share of sunlight (n,) on leaves at points (n, 3), whose visibility by algorithms is ``seen`` (n,)."""
     view = look_at(np.array([0.0, -40.0, 8.0]), np.array([0.0, 0.0, 6.0]), np.array([0.0, 0.0, 1.0]), 40.0, 1, len(points))
     frame = view.frame(scene.world)
     ones = np.ones((1, len(points)), np.float32)
@@ -74,7 +74,7 @@ def test_light_comes_through_leaves(wall):
 
 
 def test_no_light_comes_through_ground(wall):
-    """The wall ends 260 m west of the tree: its shadow is 60 m high there, less what the sun climbs on the way."""
+    """The wall ends 260 m west of the tree. Its shadow there is 60 m high, less what the sun climbs over that distance."""
     low = wall(altitude=8.0)  # 23 m over the floor at the tree
     assert (lit(low, POINTS, np.zeros(3)) == 0.0).all()
     over = POINTS + [0.0, 0.0, 40.0]
@@ -93,7 +93,7 @@ def verdict(scene: Scene, name: str):
     return EFFECT.called_for(describe(scene, scene.view(name), name))
 
 
-def test_it_is_called_for_where_sunlit_trees_are_seen(wall):
+def test_crowns_are_called_for_where_sunlit_trees_are_seen(wall):
     scene = wall()
     assert verdict(scene, "tree").called_for and "1 tree" in verdict(scene, "tree").reason
     assert "no tree" in verdict(scene, "away").reason and not verdict(scene, "away").called_for
@@ -102,7 +102,7 @@ def test_it_is_called_for_where_sunlit_trees_are_seen(wall):
         assert "no direct sunlight" in verdict(dark, "tree").reason and not verdict(dark, "tree").called_for
 
 
-def test_visibility_stays_and_leaves_alone_get_lighter(gl, wall):
+def test_crowns_lighten_only_leaves_and_keep_visibility(gl, wall):
     scene = wall()
     view = scene.view("tree")
     frames = {}
@@ -114,27 +114,27 @@ def test_visibility_stays_and_leaves_alone_get_lighter(gl, wall):
     np.testing.assert_array_equal(on.visibility, off.visibility)
     change = on.color.astype(int) - off.color
     assert change.min() >= 0 and change.max() > 5
-    # Leaves, and what they cover of pixels at their rims.
+    # Only leaves change, and pixels that they cover in part.
     assert ((change > 0).any(axis=-1)).mean() < 0.3
 
 
 def look(point: np.ndarray, eye: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """The unit normal (3,) of a crown on the foot (0, 0, 0) where a ray from an eye meets a point."""
+    """Return a crown's unit normal (3,) where a ray from an eye meets a point; its foot is (0, 0, 0)."""
     shading, albedo = np.empty(3, np.float32), np.empty(3, np.float32)
     _shade_leaf(point, point - eye, np.zeros(3), shape, np.zeros(3, np.uint8), shading, albedo)
     return shading / np.linalg.norm(shading)
 
 
-def test_points_on_one_ray_have_one_normal_whichever_quad_they_lie_on():
+def test_crown_normal_depends_on_the_ray_not_on_the_quad():
     shape, eye = np.array([4.0, 4.0, 12.0, 5.0], np.float32), np.array([3.0, -40.0, 8.0])
     target = np.array([-1.5, 0.0, 7.0])
     ray = target - eye
     on_one = eye + ray * (-eye[1] / ray[1])  # the quad in the plane y = 0
-    on_other = eye + ray * (-eye[0] / ray[0])  # ... and that in x = 0
+    on_other = eye + ray * (-eye[0] / ray[0])  # the quad in the plane x = 0
     assert look(on_one, eye, shape) == pytest.approx(look(on_other, eye, shape), abs=1e-5)
 
 
-def test_a_crown_is_round():
+def test_crown_normals_are_those_of_a_round_crown():
     shape, eye = np.array([4.0, 4.0, 12.0, 5.0], np.float32), np.array([0.0, -400.0, 6.6])
     left, middle, right, top = (
         look(np.array([x, 0.0, z]), eye, shape) for x, z in ((-3.9, 6.6), (0.0, 6.6), (3.9, 6.6), (0.0, 12.0))

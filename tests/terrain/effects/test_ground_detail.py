@@ -1,4 +1,4 @@
-"""Detail of near ground: fixed to the ground, gone where pixels cannot show it, and never on what is not bare ground."""
+"""Detail of near ground: fixed to the ground, faded out where pixels cannot show it, and only on bare ground."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def scene(tmp_path) -> Scene:
 
 
 def detail_at(scene: Scene, points: np.ndarray, eye: np.ndarray, kind: int = RELIEF) -> np.ndarray:
-    """What becomes of an albedo of 1 at level points (n, 3) of the frame seen from an eye: (n, 3)."""
+    """Return an albedo of 1 with detail applied, at level points (n, 3) of the frame seen from an eye: (n, 3)."""
     view = look_at(eye, points.mean(axis=0), np.array([0.0, 1.0, 0.0]), 40.0, 1, len(points))
     frame = view.frame(scene.world)
     ones = np.ones((1, len(points)), np.float32)
@@ -47,21 +47,21 @@ def detail_at(scene: Scene, points: np.ndarray, eye: np.ndarray, kind: int = REL
     return albedo[0]
 
 
-def test_it_is_called_for_near_the_ground_alone(scene):
+def test_ground_detail_is_called_for_only_near_the_ground(scene):
     verdicts = {name: EFFECT.called_for(describe(scene, scene.view(name), name)) for name in ("eye", "far", "sky", "map")}
     assert {name for name, verdict in verdicts.items() if verdict.called_for} == {"eye"}
     assert "tints only" in verdicts["map"].reason and "no ground" in verdicts["sky"].reason
     assert "pixels are as wide" in verdicts["far"].reason
 
 
-def test_imagery_is_left_as_it_is(scene):
+def test_ground_detail_is_not_called_for_on_imagery(scene):
     described = describe(scene, scene.view("eye"), "eye")
     facts = {**described.facts, "ground_detail": {**described.facts["ground_detail"], "draped": True}}
     verdict = EFFECT.called_for(described.model_copy(update={"facts": facts}))
     assert not verdict.called_for and "imagery" in verdict.reason
 
 
-def test_the_bound_falls_with_the_pixels_and_holds(scene):
+def test_largest_share_bounds_detail_and_falls_with_pixel_size(scene):
     widths = np.geomspace(1e-3, 100.0, 60)
     bounds = [largest_share(width) for width in widths]
     assert (np.diff(bounds) <= 0.0).all() and bounds[-1] == 0.0 and bounds[0] > INVISIBLE_CHANGE
@@ -73,14 +73,14 @@ def test_the_bound_falls_with_the_pixels_and_holds(scene):
         assert changed > 0.2 * largest_share(away / 1000.0)
 
 
-def test_it_stays_on_the_ground_when_the_camera_moves(scene):
+def test_ground_detail_stays_fixed_when_the_camera_moves(scene):
     points = np.column_stack([np.linspace(-3, 3, 400), np.linspace(5, 9, 400), np.zeros(400)])
     one, other = (detail_at(scene, points, np.array([x, 7.0, 20.0])) for x in (-2.0, 2.5))
     np.testing.assert_allclose(one, other, atol=0.02)
     assert one.std() > 0.03
 
 
-def test_neighbouring_pixels_never_jump_by_more_than_waves_that_they_can_show(scene):
+def test_ground_detail_has_only_waves_that_pixels_can_show(scene):
     """Along a row of pixels the largest step is that of waves four pixels long, not that of noise from pixel to pixel."""
     for away in (3.0, 30.0, 300.0):
         x = np.arange(-200, 200) * away / 1000.0
@@ -91,12 +91,12 @@ def test_neighbouring_pixels_never_jump_by_more_than_waves_that_they_can_show(sc
 
 
 @pytest.mark.parametrize("kind", [MESHES, FOREST])
-def test_only_ground_has_it(scene, kind):
+def test_ground_detail_skips_meshes_and_trees(scene, kind):
     points = np.column_stack([np.linspace(-3, 3, 50), np.zeros(50), np.zeros(50)])
     assert (detail_at(scene, points, np.array([0.0, 0.0, 5.0]), kind) == 1.0).all()
 
 
-def test_the_mean_stays(scene):
+def test_ground_detail_keeps_the_mean_albedo(scene):
     rng = np.random.default_rng(2)
     points = np.column_stack([rng.uniform(-400, 400, (20000, 2)), np.zeros(20000)])
     assert detail_at(scene, points, np.array([0.0, 0.0, 3.0])).mean(axis=0) == pytest.approx(np.ones(3), abs=0.02)

@@ -1,4 +1,4 @@
-"""Haze: Koschmieder's law, where it can show, what it hides, and the pictures at the edge of either."""
+"""Haze: Koschmieder's law, where haze can show, what it hides, and pictures at the threshold of each."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ EYE_M = np.array([3.0, 4.0, 50.0])
 
 @pytest.fixture
 def floor(tmp_path):
-    """``floor(views, **keys)`` is the scene of a flat floor 400 m wide."""
+    """``floor(eye, target, side, **keys)`` builds the scene of a flat floor, 400 m wide by default."""
 
     def make(eye=(0.0, -190.0, 10.0), target=(0.0, 0.0, 0.0), side=400, **keys) -> Scene:
         sun = keys.pop("sun", {"azimuth": 200, "altitude": 35})
@@ -63,7 +63,7 @@ def hidden_beyond_m(scene: Scene) -> float:
 
 
 def points(scene: Scene, distance_m: np.ndarray, facing: np.ndarray, albedo: np.ndarray) -> tuple[PerspectiveView, GeometryBuffer]:
-    """A buffer (1, n) of points at distances (n,) east of the eye with normals (n, 3) and albedos (n, 3)."""
+    """Return a view and a buffer (1, n) of points at distances (n,) east of the eye, with normals (n, 3) and albedos (n, 3)."""
     view = look_at(EYE_M, EYE_M + EAST, UP, 40.0, 1, len(distance_m))
     frame = view.frame(scene.world)
     normal = facing[None].astype(np.float32)
@@ -77,7 +77,7 @@ def points(scene: Scene, distance_m: np.ndarray, facing: np.ndarray, albedo: np.
 
 
 def hazed(scene: Scene, color: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
-    """Linear colours (n, 3) as they arrive from distances (n,)."""
+    """Return linear colours (n, 3) as they arrive at the eye from distances (n,)."""
     view, buffer = points(scene, distance_m, np.tile(UP, (len(distance_m), 1)), color)
     out = color[None].astype(np.float32)
     apply_haze(out, ShadingBlock(scene, view, buffer, {}))
@@ -85,14 +85,14 @@ def hazed(scene: Scene, color: np.ndarray, distance_m: np.ndarray) -> np.ndarray
 
 
 def horizon_in_east(scene: Scene) -> np.ndarray:
-    """The horizon's colour (3,) where ``points`` lie."""
+    """Return the horizon's colour (3,) in the direction of ``points``."""
     out = np.empty(3)
     sky_color(sky_of(scene), 0.0, np.sin(np.radians(scene.sun.azimuth_deg)), out)
     return out
 
 
 def picture(scene: Scene, haze: str, name: str = "v", **asked) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The picture of a view with haze ``on``, ``off`` or as the plan says; and the passes that ran."""
+    """Return a view's picture and the names of its passes, with haze ``on``, ``off`` or as the plan decides."""
     level = scene.loaded.level.model_copy(update={"effects": "auto" if haze == "auto" else {"haze": haze}})
     view = scene.view(name, **asked)
     frame = render_frame(scene, view, make_plan(describe(scene, view, name), level, {}))
@@ -111,8 +111,8 @@ def test_contrast_at_the_visibility_is_two_percent(floor):
     assert extinction(500.0) == pytest.approx(3.912 / 500.0, rel=1e-4)
 
 
-def test_air_alone_takes_blue_first_and_mist_is_grey():
-    """As far as air alone lets one see, extinction is Rayleigh's; dust and drops on top of it take as much of every colour."""
+def test_extinction_is_rayleigh_in_clear_air_and_grey_in_mist():
+    """At the visibility of air alone, extinction is Rayleigh's. Dust and drops add the same extinction to every colour."""
     air = np.array(RAYLEIGH_PER_M)
     alone = extinctions(3.912023 / air[1])
     assert alone == pytest.approx(air, rel=1e-6)
@@ -122,13 +122,13 @@ def test_air_alone_takes_blue_first_and_mist_is_grey():
     assert hazy - hazy[1] == pytest.approx(air - air[1], rel=1e-6)
 
 
-def test_far_ground_goes_over_into_the_skys_foot(floor):
+def test_far_ground_fades_to_the_horizon_s_colour(floor):
     scene = floor(weather={"visibility": 100})
     far = hazed(scene, np.array([[0.9, 0.1, 0.0]]), np.array([5000.0]))
     assert far[0] == pytest.approx(horizon_in_east(scene), abs=1e-6)
 
 
-def test_sky_and_what_is_not_there_stay_as_they_are(floor):
+def test_haze_leaves_invalid_pixels_unchanged(floor):
     scene = floor(weather={"visibility": 100})
     view, buffer = points(scene, np.array([50.0, 50.0]), np.tile(UP, (2, 1)), np.ones((2, 3)))
     buffer.valid[0, 1] = False
@@ -137,7 +137,7 @@ def test_sky_and_what_is_not_there_stay_as_they_are(floor):
     assert (color[0, 1] == 0.125).all() and (color[0, 0] != 0.125).all()
 
 
-def test_maps_what_is_near_and_the_sky_alone_have_no_haze(floor):
+def test_haze_is_not_called_for_in_maps_near_views_and_sky(floor):
     hazy = floor(weather={"visibility": 100})
     assert "no viewing distance" in verdict(hazy, "map").reason and not verdict(hazy, "map").called_for
     near = floor(eye=(0.0, 0.0, 3.0), target=(0.0, 0.5, 0.0))
@@ -146,13 +146,13 @@ def test_maps_what_is_near_and_the_sky_alone_have_no_haze(floor):
     assert "farther than 0.0 m" in verdict(heaven).reason and not verdict(heaven).called_for
 
 
-def test_forced_on_without_distance_changes_nothing(floor):
+def test_haze_forced_on_in_a_map_changes_nothing(floor):
     scene = floor(weather={"visibility": 100})
     on, off = (picture(scene, haze, "map", size=(96, 96))[0] for haze in ("on", "off"))
     assert (on == off).all()
 
 
-def test_where_a_level_sets_none_the_air_is_clear(floor):
+def test_air_is_clear_if_a_level_sets_no_visibility(floor):
     color = np.full((1, 3), 0.1)
     unset = hazed(floor(), color, np.array([9000.0]))
     up = EYE_M[2] / 8000.0
@@ -161,14 +161,14 @@ def test_where_a_level_sets_none_the_air_is_clear(floor):
     assert (unset > color).all() and unset[0, 2] > unset[0, 1] > unset[0, 0]
 
 
-def test_the_encoders_bins():
+def test_srgb_encoder_is_constant_within_bins():
     first = np.arange(round(1.0 / BIN)) * BIN
     assert (srgb_encoded(first) == srgb_encoded(first + 0.999 * BIN)).all()
     assert (np.diff(srgb_encoded(first[:4]).astype(int)) == 1).all()  # at black each bin has a code of its own
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92))
-def test_what_shows_nowhere_moves_no_colour_by_two(color, horizon):
+def test_max_invisible_share_moves_no_colour_by_two_steps(color, horizon):
     share = _max_invisible_share((horizon,), (horizon,))
     near = np.linspace(max(color - 2 * BIN, 0.0), min(color + 2 * BIN, 1.0), 400)
     moved = near + share * (horizon - near)
@@ -176,7 +176,7 @@ def test_what_shows_nowhere_moves_no_colour_by_two(color, horizon):
 
 
 @pytest.mark.parametrize("horizon", [0.0144, 0.1, 0.5, 0.92])
-def test_a_tenth_more_than_what_shows_nowhere_shows(horizon):
+def test_max_invisible_share_is_tight_within_a_tenth(horizon):
     share = 1.1 * _max_invisible_share((horizon,), (horizon,))
     color = np.linspace(0.0, 1.0, 200_000)
     moved = color + share * (horizon - color)
@@ -184,7 +184,7 @@ def test_a_tenth_more_than_what_shows_nowhere_shows(horizon):
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92), st.floats(0.05, 1.0), st.sampled_from([1.0, 0.8, 0.5, 0.2]))
-def test_what_is_hidden_is_alike_in_sun_and_shadow(dark, horizon, white, part):
+def test_max_hiding_transmittance_equates_sun_and_shadow(dark, horizon, white, part):
     share = _max_hiding_transmittance((horizon,) * 3, (white,) * 3)
     dark = (1.0 - white) * dark + np.linspace(0.0, 8 * BIN, 400)
     shadow = part * ((1.0 - share) * horizon + share * dark)
@@ -196,7 +196,7 @@ SUNS = {"day": 50.0, "low": 14.0, "evening": 2.0, "sunset": 0.5}
 
 
 def difference_of_sunlight(scene: Scene, distance_m: float) -> np.ndarray:
-    """Steps (n,) between sun and shadow on points of all colours and directions at a distance."""
+    """Return sRGB steps (n,) between sun and shadow, for points of all colours and directions at a distance."""
     rng = np.random.default_rng(0)
     count = 20_000
     facing = rng.normal(size=(count, 3))
@@ -214,7 +214,7 @@ def difference_of_sunlight(scene: Scene, distance_m: float) -> np.ndarray:
 
 @pytest.mark.parametrize("altitude", SUNS.values(), ids=SUNS.keys())
 @pytest.mark.parametrize("visibility", [80, 5000])
-def test_beyond_its_distance_haze_hides_what_the_sun_does_and_before_it_does_not(floor, altitude, visibility):
+def test_hiding_distance_is_where_sunlight_ceases_to_show(floor, altitude, visibility):
     scene = floor(sun={"azimuth": 130, "altitude": altitude}, weather={"visibility": visibility})
     beyond_m = hiding_distance_m(scene, scene.view("v"))
     assert difference_of_sunlight(scene, beyond_m * 1.0001).max() <= 1
@@ -222,19 +222,19 @@ def test_beyond_its_distance_haze_hides_what_the_sun_does_and_before_it_does_not
     assert difference_of_sunlight(scene, 0.8 * beyond_m).max() > 1
 
 
-def test_clear_air_hides_little_and_at_night_all_is_hidden(floor):
+def test_hiding_distance_is_long_in_clear_air_and_0_at_night(floor):
     assert 1.0 * CLEAR_AIR_M < hidden_beyond_m(floor()) < 3.0 * CLEAR_AIR_M
     assert hidden_beyond_m(floor(weather={"visibility": 100}, sun={"azimuth": 0, "altitude": -20})) == 0.0
     assert hidden_beyond_m(floor(weather={"visibility": 100}, sun="none")) == 0.0
 
 
-def test_visibility_scales_what_is_hidden(floor):
-    """In proportion in mist, of which air is no part to speak of."""
+def test_hiding_distance_is_proportional_to_visibility(floor):
+    """This holds in mist, where the extinction of the air itself is negligible."""
     one, two = (hidden_beyond_m(floor(weather={"visibility": v})) for v in (20, 40))
     assert two == pytest.approx(2.0 * one, rel=1e-3)
 
 
-def test_the_horizon_that_the_predicate_goes_by_holds_every_direction(floor):
+def test_horizon_colors_bound_every_direction(floor):
     scene, out = floor(sun={"azimuth": 130, "altitude": 3}), np.empty(3)
     some = horizon_colors(scene)
     for azimuth in np.linspace(0.0, np.pi, 1001):
@@ -242,8 +242,8 @@ def test_the_horizon_that_the_predicate_goes_by_holds_every_direction(floor):
         assert (out >= some.min(axis=0) - 2e-4).all() and (out <= some.max(axis=0) + 2e-4).all()
 
 
-def test_clear_air_thins_with_the_height_of_the_eye(floor):
-    """By the mean of exp(-z / 8 km) up to the eye, summed by hand; a level's own visibility does not."""
+def test_clear_air_visibility_grows_with_the_eye_s_height(floor):
+    """Visibility is divided by the mean of exp(-z / 8 km) up to the eye, summed numerically. A level's own visibility is not."""
     for up_m in (10.0, 3000.0, 40_000.0):
         scene, z = floor(eye=(0.0, -190.0, up_m)), (np.arange(20_000) + 0.5) * up_m / 20_000
         thin = np.exp(-z / 8000.0).mean()
@@ -255,8 +255,8 @@ def test_clear_air_thins_with_the_height_of_the_eye(floor):
 @pytest.mark.long
 @pytest.mark.parametrize("away", [0.98, 1.02])
 @pytest.mark.parametrize("altitude", [35, -20])
-def test_at_the_edge_of_being_called_for(gl, floor, altitude, away):
-    """The visibility at which the farthest thing seen lies just before, or just beyond, where haze can show."""
+def test_haze_is_called_for_exactly_where_it_shows(gl, floor, altitude, away):
+    """The visibility puts the farthest visible point just before, or just beyond, the distance from which haze can show."""
     keys = {
         "sun": {"azimuth": 200, "altitude": altitude},
         "meshes": [{"generate": "boxgrid"}],
@@ -280,13 +280,16 @@ WALL = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 4]], np.int32)
 
 
 def farthest_of_wall_m(away: float, col: float, row: float, half: float) -> float:
-    """Of a wall north of an eye at the origin and a thing behind it, what a pyramid round tangents to the east and up holds."""
+    """Return the farthest distance within a pyramid, for a wall north of an eye at the origin and a body behind the eye.
+
+    The pyramid is centred on the tangents ``col`` to the east and ``row`` up.
+    """
     inward = np.array([[0, 1, 0], [1, half - col, 0], [-1, half + col, 0], [0, half - row, 1], [0, half + row, -1.0]])
     return _farthest(WALL_M + [0.0, away, 0.0] * (WALL_M[:, 1:2] == 0.0), WALL, np.zeros(3), inward)
 
 
 @given(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9), st.floats(5.0, 300.0), st.floats(1e-4, 0.5))
-def test_the_bound_is_the_farthest_point_within_the_pyramid(col, row, away, half):
+def test_farthest_is_the_farthest_point_within_the_pyramid(col, row, away, half):
     west, east = max(col - half, -9.0 / away), min(col + half, 9.0 / away)
     low, high = max(row - half, -2.0 / away), min(row + half, 3.0 / away)
     corner = np.hypot(max(abs(west), abs(east)), max(abs(low), abs(high)))
@@ -294,8 +297,8 @@ def test_the_bound_is_the_farthest_point_within_the_pyramid(col, row, away, half
     assert farthest_of_wall_m(away, col, row, half) == pytest.approx(expected, rel=1e-6)
 
 
-def test_the_bound_holds_what_a_picture_shows(gl, floor):
-    """Every point of the picture at full size, against a bound that knows nothing of what hides what."""
+def test_farthest_bounds_every_point_of_a_picture(gl, floor):
+    """Every point of the picture at full size is compared with a bound that ignores occlusion."""
     scene = floor(eye=(0.0, -60.0, 50.0), weather={"visibility": 1e7}, meshes=[{"generate": "boxgrid"}])
     view, descriptor = scene.view("v"), describe(scene, scene.view("v"), "v")
     frame = render_frame(scene, view, make_plan(descriptor, scene.loaded.level, {}))
@@ -303,8 +306,8 @@ def test_the_bound_holds_what_a_picture_shows(gl, floor):
     assert seen_m <= descriptor.facts["haze"]["farthest_m"] <= 1.1 * seen_m
 
 
-def test_trees_count_although_the_look_leaves_them_out(gl, floor, tmp_path):
-    """A tree that rises into a view of nothing but sky."""
+def test_haze_counts_trees_that_the_coarse_view_omits(gl, floor, tmp_path):
+    """A tree rises into a view that otherwise shows only sky."""
     keys = {"eye": (0.0, -60.0, 2.0), "target": (0.0, -30.0, 15.0), "weather": {"visibility": 100}}
     bare = floor(**keys)
     tree = shapely.to_wkb(np.array([shapely.Point(0.0, -40.0)]))

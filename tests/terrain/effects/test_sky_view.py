@@ -1,4 +1,4 @@
-"""Sky view: horizons against closed forms, places in rasters, and the predicate against the pictures."""
+"""Sky view factors: horizons against closed forms, places in rasters, and the predicate against pictures."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def hidden(height_m: np.ndarray, across_m: float = 1.0, down_m: float = 1.0, cur
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.3, 3))
-def test_nothing_hides_the_sky_from_a_plane(east: float, south: float, down_m: float) -> None:
-    """A plane has its own slope for a horizon: nothing is lost but rounding; lying flat, nothing at all."""
+def test_a_plane_hides_no_sky(east: float, south: float, down_m: float) -> None:
+    """The horizon of a plane is its own slope, so only rounding is lost; on level ground nothing is."""
     height = east * np.arange(24.0) + south * np.arange(20.0)[:, None]
     assert hidden(height, down_m=down_m).max() < 1e-6
     assert not hidden(np.full((20, 24), 7.0)).any()
@@ -34,8 +34,8 @@ def test_nothing_hides_the_sky_from_a_plane(east: float, south: float, down_m: f
 
 @pytest.mark.parametrize("slope_deg", [10.0, 30.0, 45.0, 70.0])
 @pytest.mark.parametrize("way", ["rows", "columns", "diagonal"])
-def test_the_bottom_of_a_valley(slope_deg: float, way: str) -> None:
-    """From the bottom line of an endless valley with straight sides the share cos(slope) of the sky is seen."""
+def test_sky_view_at_the_bottom_of_a_valley(slope_deg: float, way: str) -> None:
+    """The bottom line of an endless valley with straight sides sees the share cos(slope) of the sky."""
     away = {"rows": ALONG[:, None] + 0 * ALONG, "columns": ALONG + 0 * ALONG[:, None]}.get(way)
     away = (ALONG + ALONG[:, None]) / np.sqrt(2.0) if away is None else away
     seen = 1.0 - hidden(np.abs(away) * np.tan(np.radians(slope_deg)))[64, 64]
@@ -43,13 +43,13 @@ def test_the_bottom_of_a_valley(slope_deg: float, way: str) -> None:
 
 
 @pytest.mark.parametrize("slope_deg", [10.0, 45.0, 70.0])
-def test_the_bottom_of_a_funnel(slope_deg: float) -> None:
-    """From its tip cos^2(slope) is seen; ground between nodes is straight, which bends the tip's inmost ring up."""
+def test_sky_view_at_the_bottom_of_a_funnel(slope_deg: float) -> None:
+    """The tip sees cos^2(slope). Ground between nodes is straight, which raises the innermost ring around the tip."""
     seen = 1.0 - hidden(np.hypot(ALONG, ALONG[:, None]) * np.tan(np.radians(slope_deg)))[64, 64]
     assert seen == pytest.approx(np.cos(np.radians(slope_deg)) ** 2, abs=0.02)
 
 
-def test_a_hollow_half_sphere_sees_the_same_everywhere() -> None:
+def test_sky_view_is_uniform_in_a_hollow_half_sphere() -> None:
     """In an integrating sphere every place sees the same share of the opening: half of the sky for a half sphere."""
     radius = 60.0
     square = ALONG**2 + (ALONG**2)[:, None]
@@ -59,8 +59,8 @@ def test_a_hollow_half_sphere_sees_the_same_everywhere() -> None:
     assert seen[square < (0.8 * radius) ** 2] == pytest.approx(0.5, abs=0.012)
 
 
-def test_before_a_wall() -> None:
-    """Before an endless wall the elevation angle h of its top leaves (1 + cos h) / 2 of level ground's sky."""
+def test_sky_view_before_a_wall() -> None:
+    """An endless wall whose top has the elevation angle h leaves (1 + cos h) / 2 of level ground's sky."""
     height = np.zeros((1025, 65))
     height[:, 40:] = 10.0
     for away in (4, 10, 30):
@@ -70,8 +70,8 @@ def test_before_a_wall() -> None:
 
 
 @given(st.sampled_from([(0, 0), (1, 0), (0, 1), (1, 1)]), st.booleans(), st.floats(0.4, 2.5))
-def test_mirrored_and_turned_ground(mirrored: tuple[int, int], turned: bool, down_m: float) -> None:
-    """What is hidden goes with the ground: no azimuth is treated in another way."""
+def test_sky_view_follows_mirrored_and_turned_ground(mirrored: tuple[int, int], turned: bool, down_m: float) -> None:
+    """The hidden share moves with the ground, because all azimuths are treated alike."""
     height = np.random.default_rng(3).normal(size=(19, 23)).cumsum(axis=1)
     other, cells = height[:: 1 - 2 * mirrored[0], :: 1 - 2 * mirrored[1]], (1.0, down_m)
     found = hidden(other.T if turned else other, *(cells[::-1] if turned else cells))
@@ -79,8 +79,8 @@ def test_mirrored_and_turned_ground(mirrored: tuple[int, int], turned: bool, dow
     np.testing.assert_allclose(back, hidden(height, *cells), atol=1e-6)
 
 
-def test_the_earth_bends_away() -> None:
-    """A ridge 1000 m high and 120 km away lies below the horizon of the earth (113 km), but not of a plane."""
+def test_sky_view_allows_for_the_earth_s_curvature() -> None:
+    """A ridge 1000 m high and 120 km away lies below the earth's horizon (113 km), but above that of a plane."""
     height = np.zeros((3, 121))
     height[:, 120] = 1000.0
     assert hidden(height, 1000.0, 1000.0)[1, 0] > 0.0
@@ -88,8 +88,8 @@ def test_the_earth_bends_away() -> None:
     assert hidden(height, 1000.0, 1000.0, 1.0 / 6_371_000.0)[1, 20] > 0.0
 
 
-def test_holes_hide_nothing() -> None:
-    """Where nothing is known the sky is open, and beyond a hole the ground still counts."""
+def test_nodata_hides_no_sky() -> None:
+    """Unknown ground leaves the sky open, and ground beyond a hole still counts."""
     height = np.zeros((65, 65))
     height[:, 40:] = 10.0
     holes = height.copy()
@@ -98,8 +98,8 @@ def test_holes_hide_nothing() -> None:
     assert 0.0 < hidden(holes)[32, 30] < hidden(height)[32, 30]
 
 
-def test_pyramid() -> None:
-    """Every level joins two by two, down to one node; an odd last one is joined with itself."""
+def test_pyramid_reduces_pairs_down_to_one_node() -> None:
+    """Each level reduces nodes two by two. An odd last node is reduced with itself."""
     values, table = pyramid(np.arange(15, dtype=np.float32).reshape(3, 5), np.max)
     assert table[:, 1:].tolist() == [[3, 5], [2, 3], [1, 2], [1, 1]]
     assert values[table[1, 0] : table[2, 0]].tolist() == [6.0, 8.0, 9.0, 11.0, 13.0, 14.0]
@@ -116,8 +116,8 @@ def test_pyramid() -> None:
         ('ENGCRS["floor",EDATUM["floor"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]', 5.0, 9.0, 2.0),
     ],
 )
-def test_cells_are_found_without_proj(write_raster, make_scene, crs: str, x0: float, y0: float, cell: float) -> None:
-    """Ground points at any height lie in the cells that PROJ says, to a hundredth of a node."""
+def test_sky_view_nodes_agree_with_proj(write_raster, make_scene, crs: str, x0: float, y0: float, cell: float) -> None:
+    """Points at any height lie in the cells that PROJ gives, within a hundredth of a node."""
     rng = np.random.default_rng(1)
     scene = make_scene(write_raster(rng.normal(size=(60, 80)) * 100.0 + 1000.0, crs, x0, y0, cell))
     row, col, height = rng.uniform(0, 59, 200), rng.uniform(0, 79, 200), rng.uniform(0, 4000, 200)
@@ -129,14 +129,17 @@ def test_cells_are_found_without_proj(write_raster, make_scene, crs: str, x0: fl
 
 
 def valley(depth_m: float) -> np.ndarray:
-    """A valley along a level's middle in an otherwise level plain."""
+    """Return a valley along the middle of an otherwise level plain."""
     return np.broadcast_to(-depth_m * np.exp(-((np.arange(96) - 48.0) ** 2) / 50.0), (96, 96)).astype(np.float32)
 
 
 @pytest.mark.parametrize("weather", [{}, {"cloud_cover": 1.0}])
 @pytest.mark.parametrize("altitude", [40.0, 8.0, -3.0, -30.0])
-def test_the_predicate_holds_in_pictures(write_raster, make_scene, altitude: float, weather: dict) -> None:
-    """From too shallow to well deep enough: left out, it would change no channel by more than a step; run, it changes some."""
+def test_sky_view_predicate_agrees_with_pictures(write_raster, make_scene, altitude: float, weather: dict) -> None:
+    """Valleys range from too shallow to deep enough.
+
+    Left out, the effect would change no channel by over a step; run, it changes some.
+    """
     verdicts = set()
     for depth_m in (2.0, 12.0, 18.0, 25.0, 35.0, 50.0, 70.0, 120.0):
         path = write_raster(valley(depth_m), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0, name=f"valley{depth_m:g}.tif")
@@ -151,8 +154,8 @@ def test_the_predicate_holds_in_pictures(write_raster, make_scene, altitude: flo
     assert verdicts == {True, False}
 
 
-def test_perspective_goes_by_what_is_seen(write_raster, make_scene) -> None:
-    """A camera over the plain that does not look into the valley does not call for what the one that does calls for."""
+def test_sky_view_in_perspective_depends_on_visible_ground(write_raster, make_scene) -> None:
+    """A camera that looks into the valley calls for the effect. A camera over the plain, looking away from the valley, does not."""
     path = write_raster(valley(400.0), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0)
     scene = make_scene(path)
     lon, lat = (float(v) for v in scene.world.lon_lat(scene.elevation.crs, np.array(501_440.0), np.array(5_298_560.0)))
@@ -179,8 +182,8 @@ def test_perspective_goes_by_what_is_seen(write_raster, make_scene) -> None:
     assert "sky_view" in [record.name for record in render_frame(scene, view, plan_of(scene, view)).passes]
 
 
-def test_parts_of_a_map_agree(write_raster, make_scene) -> None:
-    """The same ground loses the same share of the sky, whichever part of a map asks, in whichever frame."""
+def test_sky_view_of_map_parts_agrees(write_raster, make_scene) -> None:
+    """The same ground loses the same share of the sky in every part of a map and in every frame."""
     scene = make_scene(write_raster(valley(4000.0), "EPSG:4326", 10.0, 47.0, 0.004))
     whole = scene.view(size=(128, 128))
 
@@ -195,15 +198,15 @@ def test_parts_of_a_map_agree(write_raster, make_scene) -> None:
     np.testing.assert_allclose(seen(part), seen(whole)[96:128, 44:84], atol=2e-7)
 
 
-def test_level_ground_hides_nothing(write_raster, make_scene) -> None:
-    """Nothing is searched on a floor, and the reason says so."""
+def test_sky_view_is_not_called_for_on_level_ground(write_raster, make_scene) -> None:
+    """A floor needs no horizon search, and the reason says so."""
     scene = make_scene(write_raster(np.full((8, 8), 3.0, np.float32), "EPSG:32633", 500_000.0, 5_300_000.0, 30.0))
     verdict = EFFECT.called_for(describe(scene, scene.view()))
     assert not verdict.called_for and "open sky" in verdict.reason
 
 
-def test_zoomed_out_the_pixels_show_means(write_raster, make_scene) -> None:
-    """A narrow gorge is lost in large pixels: what is hidden falls with the zoom, and ends at the level's mean."""
+def test_sky_view_averages_over_large_pixels(write_raster, make_scene) -> None:
+    """A narrow gorge is lost in large pixels: the hidden share falls with the zoom and ends at the level's mean."""
     height = np.zeros((256, 256), np.float32)
     height[:, 128] = -60.0
     scene = make_scene(write_raster(height, "EPSG:32633", 500_000.0, 5_300_000.0, 30.0))
@@ -212,8 +215,8 @@ def test_zoomed_out_the_pixels_show_means(write_raster, make_scene) -> None:
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_more_hidden_darkens_more(light: float, share: float) -> None:
-    """Steps grow with what is hidden and with the light that is there to hide."""
+def test_darkening_steps_grow_with_hidden_sky_and_light(light: float, share: float) -> None:
+    """Steps grow with the hidden share and with the light that it can hide."""
     assert max_darkening_steps(light, 0.0) == 0
     assert max_darkening_steps(light, share) <= max_darkening_steps(light, 1.0) == max_darkening_steps(light, 1.0)
     assert max_darkening_steps(light / 2.0, share) <= max_darkening_steps(light, share) + 1

@@ -22,12 +22,12 @@ from skugga.terrain.shading import albedo_of
 from tests.rasters import ENGINEERING
 
 DOWN = np.array([0.0, 0.0, -1e12])
-"""The point that "up" points away from in a flat world."""
+"""The point from which "up" points away in a flat world."""
 
 
 @pytest.fixture
 def slope(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene]:
-    """A plane that rises eastwards at an angle from height 0, 10 m a node."""
+    """Return a factory of planes that rise eastwards from height 0 at an angle, with nodes 10 m apart."""
 
     def make(slope_deg: float, **keys) -> Scene:
         heights = np.tile(10.0 * np.tan(np.radians(slope_deg)) * np.arange(64), (64, 1)).astype(np.float32)
@@ -37,7 +37,7 @@ def slope(make_scene: Callable[..., Scene], write_raster) -> Callable[..., Scene
 
 
 def snowed(scene: Scene) -> tuple[np.ndarray, np.ndarray, GeometryBuffer]:
-    """Albedo before and after, and the buffer, of a small map."""
+    """Return the albedo of a small map before and after snow, and its buffer."""
     view = scene.view(size=(100, 100))
     assert isinstance(view, MapView)
     buffer = geometry_buffer(scene, view)
@@ -48,18 +48,18 @@ def snowed(scene: Scene) -> tuple[np.ndarray, np.ndarray, GeometryBuffer]:
 
 
 @pytest.mark.parametrize("slope_deg", [0.0, 15.0, FULL_SNOW_DEG - 1.6 * ROUGH_DEG])
-def test_white_where_snow_holds(slope, slope_deg: float) -> None:
+def test_snow_covers_gentle_slopes(slope, slope_deg: float) -> None:
     _, albedo, buffer = snowed(slope(slope_deg))
     assert np.allclose(albedo[buffer.valid], SNOW, atol=0.01)
 
 
 @pytest.mark.parametrize("slope_deg", [NO_SNOW_DEG + 2 * ROUGH_DEG, 75.0])
-def test_rock_and_no_tint_where_it_slid_off(slope, slope_deg: float) -> None:
+def test_steep_slopes_show_rock_without_tint(slope, slope_deg: float) -> None:
     _, albedo, buffer = snowed(slope(slope_deg))
     assert np.allclose(albedo[buffer.valid], ROCK, atol=0.01)
 
 
-def test_the_edge_of_the_snow_is_no_contour_line(slope) -> None:
+def test_the_edge_of_the_snow_is_irregular(slope) -> None:
     _, albedo, buffer = snowed(slope((FULL_SNOW_DEG + NO_SNOW_DEG) / 2))
     share = (albedo[buffer.valid][:, 0] - ROCK[0]) / (SNOW[0] - ROCK[0])
     assert 0.3 < share.mean() < 0.7
@@ -67,19 +67,19 @@ def test_the_edge_of_the_snow_is_no_contour_line(slope) -> None:
     assert share.min() >= -1e-6 and share.max() <= 1 + 1e-6
 
 
-def test_steeper_holds_less() -> None:
+def test_snow_share_is_1_on_gentle_and_0_on_steep_slopes() -> None:
     shares = [snow._slope_snow_share(slope_deg, 3.0, 4.0, 1.0) for slope_deg in np.linspace(0.0, 90.0, 200)]
     assert shares[0] == 1.0 and shares[-1] == 0.0
     assert (np.diff(shares)[np.linspace(0.0, 90.0, 200)[1:] < FULL_SNOW_DEG - 2 * ROUGH_DEG] == 0.0).all()
 
 
-def test_noise_goes_where_pixels_are_wide() -> None:
+def test_snow_noise_fades_out_in_wide_pixels() -> None:
     middle = (FULL_SNOW_DEG + NO_SNOW_DEG) / 2
     assert {float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, snow.ROUGH_M)) for k in range(9)} == {0.5}
     assert len({float(snow._slope_snow_share(middle, 37.0 * k, 11.0 * k, 1.0)) for k in range(9)}) > 5
 
 
-def test_none_on_water(slope) -> None:
+def test_snow_skips_water(slope) -> None:
     scene = slope(10.0, water={"level": 40.0})
     before, albedo, buffer = snowed(scene)
     wet = buffer.valid & (buffer.height_m <= 40.0)
@@ -88,7 +88,7 @@ def test_none_on_water(slope) -> None:
     assert np.allclose(albedo[buffer.valid & (buffer.height_m > 40.1)], SNOW, atol=0.01)
 
 
-def test_roofs_but_no_walls_and_crowns_from_above() -> None:
+def test_snow_covers_roofs_and_crown_tops_but_no_walls() -> None:
     normal = np.array([[[0, 0, 1], [1, 0, 0], [0, 0, 1], [1, 0, 0], [0, 0, 1]]], np.float32)
     kind = np.array([[MESHES, MESHES, FOREST, FOREST, RELIEF]], np.uint8)
     own = np.full((1, 5, 3), 0.1, np.float32)
@@ -101,7 +101,7 @@ def test_roofs_but_no_walls_and_crowns_from_above() -> None:
     assert (top > 0.2).all() and (top < SNOW).all()
 
 
-def test_imagery_shows_its_own_rock() -> None:
+def test_steep_imagery_keeps_its_albedo() -> None:
     own = np.full((1, 1, 3), 0.3, np.float32)
     albedo = own.copy()
     shown = ShadingInputs(
@@ -112,7 +112,7 @@ def test_imagery_shows_its_own_rock() -> None:
     assert np.allclose(albedo, 0.3)
 
 
-def test_same_ground_same_snow_in_every_part(slope) -> None:
+def test_snow_of_map_parts_agrees(slope) -> None:
     scene = slope((FULL_SNOW_DEG + NO_SNOW_DEG) / 2)
     whole = scene.view(size=(100, 100))
     part = whole.part(20, 30, 40, 50)
@@ -134,7 +134,7 @@ def test_same_ground_same_snow_in_every_part(slope) -> None:
         ({"water": {"level": 50.0}}, True, "slopes below"),
     ],
 )
-def test_called_for(slope, keys: dict, called: bool, reason: str) -> None:
+def test_snow_is_called_for_only_where_it_shows(slope, keys: dict, called: bool, reason: str) -> None:
     scene = slope(10.0, **keys)
     view = scene.view(size=(60, 60))
     verdict = snow.called_for(describe(scene, view))
@@ -146,7 +146,7 @@ def test_called_for(slope, keys: dict, called: bool, reason: str) -> None:
     assert (np.abs(frames[0] - frames[1]).max() > 1) == called
 
 
-def test_snow_under_the_sun_does_not_blow_out(slope) -> None:
+def test_sunlit_snow_is_not_overexposed(slope) -> None:
     scene = slope(20.0, azimuth=270.0, altitude=30.0)
     frame = render_frame(scene, scene.view(size=(60, 60)), make_plan(describe(scene, scene.view()), scene.loaded.level, {}))
     assert 200 < frame.color[30, 30].min() <= frame.color[30, 30].max() < 250

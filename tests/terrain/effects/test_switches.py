@@ -1,4 +1,4 @@
-"""Effects without a part of their own: each says which code does what it says."""
+"""Effects without a part of the picture to paint: each switch names the file that implements it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from skugga.terrain.effects import EFFECTS, SWITCHES
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def test_what_paints_nothing_is_a_switch():
+def test_effects_without_a_part_are_switches():
     assert set(SWITCHES) == {name for name, effect in EFFECTS.items() if effect.part is None}
     assert all((effect.part is None) == (effect.stage is None) for effect in EFFECTS.values())
 
 
-def test_the_code_that_a_switch_names_knows_of_it():
+def test_the_file_that_a_switch_names_mentions_the_switch():
     for name, what in SWITCHES.items():
         found = re.search(r"\((\S+\.py)\)$", what)
         assert found is not None, name

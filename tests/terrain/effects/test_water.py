@@ -1,4 +1,4 @@
-"""Standing water: the surface wherever ground lies below it, its paint, and what it mirrors."""
+"""Standing water: its surface wherever ground lies below it, its paint, and its reflections."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ LEVEL_M = 100.0
 
 @pytest.fixture
 def bowl_m() -> np.ndarray:
-    """Heights (60, 80) of a round bowl, 60 m at its middle and 180 m at the corners' height."""
+    """Return heights (60, 80) of a round bowl: 60 m at its middle and 206 m at the corners."""
     row, col = np.mgrid[:60, :80]
     return (60.0 + 0.06 * ((row - 29.5) ** 2 + (col - 39.5) ** 2)).astype(np.float32)
 
 
 @pytest.fixture
 def make_lake(write_raster, make_scene, bowl_m):
-    """A scene with water in the bowl, seen from above and from its rim."""
+    """Return a factory of scenes with water in the bowl, seen from above and from its rim."""
 
     def make(altitude: float = 40.0, level_m: float = LEVEL_M, heights_m: np.ndarray = bowl_m, **keys):
         path = write_raster(heights_m, UTM, 500_000, 5_000_600, 10)
@@ -77,7 +77,7 @@ def verdict(scene, name: str):
     return water.called_for(describe(scene, scene.view(name), name))
 
 
-def test_no_height_lies_below_the_water_and_ground_above_it_is_as_it_was(write_raster, bowl_m):
+def test_heights_are_the_maximum_of_ground_and_water(write_raster, bowl_m):
     path = str(write_raster(bowl_m, UTM, 0, 600, 10))
     dry, wet = Elevation(path), Elevation(path, water_m=LEVEL_M)
     row, col = np.meshgrid(np.linspace(-0.5, 59.5, 130), np.linspace(-0.5, 79.5, 170), indexing="ij")
@@ -90,7 +90,7 @@ def test_no_height_lies_below_the_water_and_ground_above_it_is_as_it_was(write_r
     assert wet.overview.heights_m.min() == LEVEL_M and wet.overview.lowest_m == bowl_m.min()
 
 
-def test_overviews_of_large_rasters_are_flooded_in_means_and_heights(write_raster):
+def test_overviews_of_large_rasters_are_flooded(write_raster):
     heights_m = np.full((600, 1100), 120.0, np.float32)
     heights_m[:300] = 40.0
     heights_m[5, 5] = 10.0
@@ -100,7 +100,7 @@ def test_overviews_of_large_rasters_are_flooded_in_means_and_heights(write_raste
         assert set(np.unique(values)) == {100.0, 120.0}
 
 
-def test_holes_stay_holes(write_raster):
+def test_water_does_not_fill_nodata(write_raster):
     heights_m = np.full((40, 40), 50.0, np.float32)
     heights_m[10:20, 10:20] = -9999
     elevation = Elevation(str(write_raster(heights_m, UTM, 0, 400, 10, nodata=-9999)), water_m=LEVEL_M)
@@ -109,7 +109,7 @@ def test_holes_stay_holes(write_raster):
     assert height_m[0, 1] == LEVEL_M and np.isnan(elevation.ground_m(155.0, 245.0))
 
 
-def test_exaggeration_lifts_the_ground_and_not_the_water(write_raster):
+def test_exaggeration_raises_the_ground_but_not_the_water(write_raster):
     elevation = Elevation(str(write_raster(np.full((9, 9), 60.0), UTM, 0, 90, 10)), exaggeration=2.0, water_m=LEVEL_M)
     assert elevation.ground_m(45.0, 45.0) == 120.0
 
@@ -121,7 +121,7 @@ def test_water_far_below_all_ground_changes_nothing(write_raster, bowl_m):
         np.testing.assert_array_equal(a, b)
 
 
-def test_the_shore_is_round_and_painted_to_it(make_lake):
+def test_water_is_painted_up_to_its_round_shore(make_lake):
     scene = make_lake()
     buffer = geometry_buffer(scene, scene.view("map", size=(800, 600)))
     wet = water_in(buffer, scene)
@@ -142,7 +142,7 @@ def test_trees_do_not_stand_in_water(make_lake, tmp_path):
 
 
 @given(cosine=st.floats(0.0, 1.0))
-def test_facets_seen_and_their_slope_are_the_integrals_over_all_facets(cosine):
+def test_seen_facets_match_integrals_over_all_facets(cosine):
     s = np.sqrt(0.5 * water.MEAN_SQUARE_SLOPE)
     sine = np.sqrt(1.0 - cosine * cosine)
     z = np.linspace(-8.0 * s, 8.0 * s, 20001)
@@ -153,8 +153,11 @@ def test_facets_seen_and_their_slope_are_the_integrals_over_all_facets(cosine):
 
 
 @pytest.mark.parametrize("altitude_deg", [90.0, 50.0, 20.0])
-def test_glint_over_all_directions_carries_the_fresnel_share_of_the_suns_light(altitude_deg):
-    """White paint sends pi times its radiance up. Waves hide some of the light from each other."""
+def test_glint_carries_the_fresnel_share_of_sunlight(altitude_deg):
+    """White paint sends pi times its radiance up, so the integral is divided by pi.
+
+    Waves hide some of the light from each other.
+    """
     sun_up = np.sin(np.radians(altitude_deg))
     sun = np.array([np.sqrt(1.0 - sun_up * sun_up), 0.0, sun_up])
 
@@ -169,7 +172,7 @@ def test_glint_over_all_directions_carries_the_fresnel_share_of_the_suns_light(a
     assert 0.8 * flat < power < 1.25 * flat
 
 
-def test_straight_down_water_keeps_all_but_a_fiftieth_of_its_colour():
+def test_water_seen_vertically_reflects_a_fiftieth():
     color = np.full((1, 1, 3), 0.4, np.float32)
     foot, zenith = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.6, 0.7])
     sky = Sky(foot, foot, zenith, np.ones(3), 1.0, np.full(3, 4.0), np.array([0.5, 0.5]))
@@ -179,11 +182,11 @@ def test_straight_down_water_keeps_all_but_a_fiftieth_of_its_colour():
     np.testing.assert_allclose(color[0, 0], 0.98 * 0.4 + 0.02 * ((1.0 - share) * foot + share * zenith), atol=1e-6)
 
 
-def test_the_glint_lies_under_the_sun_and_fades_to_both_sides():
+def test_glint_peaks_under_the_sun_and_is_symmetric():
     sun_up, eye_up = np.sin(np.radians([30.0, 25.0]))
     area, _ = water._seen_facets(eye_up, water.MEAN_SQUARE_SLOPE)
     across = np.sqrt((1.0 - sun_up**2) * (1.0 - eye_up**2))
-    off_deg = np.arange(-90.0, 91.0, 5.0)  # how far the eye looks past the sun's azimuth
+    off_deg = np.arange(-90.0, 91.0, 5.0)  # angle between the eye's azimuth and the sun's
     bright = [
         water._glint(eye_up, sun_up, sun_up * eye_up - across * np.cos(np.radians(off)), area, water.MEAN_SQUARE_SLOPE)
         for off in off_deg
@@ -193,7 +196,7 @@ def test_the_glint_lies_under_the_sun_and_fades_to_both_sides():
 
 
 @pytest.mark.parametrize("name", ["map", "rim", "down"])
-def test_water_is_called_for_by_day_and_changes_water_alone(make_lake, name):
+def test_water_is_called_for_by_day_and_changes_only_water(make_lake, name):
     scene = make_lake()
     assert verdict(scene, name).called_for
     on, off = (drawn(scene, name, way) for way in (True, False))
@@ -207,7 +210,7 @@ def test_water_is_called_for_by_day_and_changes_water_alone(make_lake, name):
 
 @pytest.mark.parametrize("name", ["map", "rim", "down"])
 @pytest.mark.parametrize("altitude", [20.0, -3.0, -8.0, -9.0, -9.5, -10.0, -10.5, -11.0, -12.0, -40.0])
-def test_what_the_plan_leaves_out_cannot_be_seen(make_lake, name, altitude):
+def test_water_that_the_plan_omits_does_not_show(make_lake, name, altitude):
     scene = make_lake().with_sun(SunSpec(azimuth=90.0, altitude=altitude))
     change = np.abs(drawn(scene, name, True) - drawn(scene, name, False)).max()
     if verdict(scene, name).called_for:
@@ -216,7 +219,7 @@ def test_what_the_plan_leaves_out_cannot_be_seen(make_lake, name, altitude):
         assert change <= 1
 
 
-def test_a_map_by_night_needs_no_mirror(make_lake):
+def test_a_map_by_night_needs_no_reflections(make_lake):
     found = verdict(make_lake(altitude=-30.0), "map")
     assert not found.called_for and "of 255" in found.reason
 
@@ -225,19 +228,19 @@ def test_a_map_by_night_needs_no_mirror(make_lake):
     ("level_m", "name", "reason"),
     [(20.0, "map", "no ground lies below the water level, 20.0 m"), (LEVEL_M, "away", "the water at 100.0 m is out of view")],
 )
-def test_reasons_of_what_is_left_out(make_lake, level_m, name, reason):
+def test_water_is_left_out_with_a_reason(make_lake, level_m, name, reason):
     scene = make_lake(level_m=level_m)
     found = verdict(scene, name)
     assert (found.called_for, found.reason) == (False, reason)
     np.testing.assert_array_equal(drawn(scene, name, True), drawn(scene, name, False))
 
 
-def test_a_level_without_water_has_none(write_raster, make_scene, bowl_m):
+def test_a_level_without_water_says_so(write_raster, make_scene, bowl_m):
     scene = make_scene(write_raster(bowl_m, UTM, 500_000, 5_000_600, 10))
     assert verdict(scene, "map").reason == "the level has no water"
 
 
-def test_glint_is_computed_only_where_the_sun_can_be_mirrored_to_the_eye(make_lake):
+def test_glint_needs_the_sun_mirrored_towards_the_eye(make_lake):
     scene = make_lake(altitude=70.0)
     assert water.has_glint(scene, scene.view("map"))
     low, night = (scene.with_sun(SunSpec(azimuth=90.0, altitude=a)) for a in (20.0, -5.0))
@@ -260,8 +263,8 @@ def test_glint_stays_out_of_shadow(make_lake):
     assert shown[1].max() <= 1.0
 
 
-def test_a_pond_between_the_points_of_the_look_is_not_missed(make_lake, bowl_m):
-    """Water of a few pixels, far off, whichever way the camera is moved."""
+def test_a_pond_between_coarse_view_points_is_not_missed(make_lake, bowl_m):
+    """The water covers a few distant pixels, wherever the camera is shifted."""
     heights_m = np.full_like(bowl_m, 100.3)
     heights_m[28:31, 38:41] = 90.0
     scene = make_lake(heights_m=heights_m, level_m=100.0)

@@ -1,4 +1,4 @@
-"""What lights do in a view, held against known geometry."""
+"""Light facts of views against known geometry."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.rasters import ENGINEERING
 
 
 def made(folder: Path, body: trimesh.Trimesh | None = None, size: float = 300.0, **keys) -> Scene:
-    """A floor with one body on it, which stands where its own coordinates say."""
+    """Build a floor with one body on it, which stands at its own coordinates."""
     level = {"version": 1, "terrain": {"flat": {"size": [size, size], "cells": [30, 30]}}, **keys}
     if body is not None:
         body.export(folder / "body.ply")
@@ -43,7 +43,7 @@ def plate(side: float, x: float, y: float, z: float) -> trimesh.Trimesh:
 
 
 def hung(body: trimesh.Trimesh) -> trimesh.Trimesh:
-    """A body that keeps its height: what stands lowest, a speck in a corner of the floor, stands on it."""
+    """Return a body that keeps its height: its lowest point, a speck in a corner of the floor, stands on the floor."""
     speck = trimesh.Trimesh([[149.0, 149.0, 0.0], [149.01, 149.0, 0.0], [149.0, 149.01, 0.0]], [[0, 1, 2]], process=False)
     return trimesh.util.concatenate([body, speck])
 
@@ -70,8 +70,8 @@ def test_the_shadow_of_a_plate_is_as_large_as_the_plate(tmp_path):
     assert facts.casts["relief"].share == 0.0
 
 
-def test_a_map_sees_the_tops_of_what_stands_there(tmp_path):
-    """Of two plates the higher one shades part of the lower one, and hides the ground below: planar shadows know of neither."""
+def test_facts_of_a_map_include_shadows_on_bodies(tmp_path):
+    """Of two plates the higher one shades part of the lower one and hides the ground below. Planar shadows ignore both."""
     low, high = plate(100.0, 60.0, 60.0, 20.0), plate(60.0, 60.0, 20.0, 60.0)
     facts = in_map(made(tmp_path, hung(trimesh.util.concatenate([low, high])), sun=SUN)).lights["sun"].casts["meshes"]
     # The sun stands at 45 degrees in the south: the shadow on the lower plate lies 40 m north of the higher one.
@@ -81,8 +81,11 @@ def test_a_map_sees_the_tops_of_what_stands_there(tmp_path):
     assert ground.on_bodies == 0.0 and ground.share > 0.0
 
 
-def test_a_texel_beside_an_edge_is_wrong_as_often_as_a_chord_crosses_it(tmp_path):
-    """A place in a texel of side k lies k / 4 beside the point in the mean: so wide is the strip along an edge that differs."""
+def test_band_differs_by_the_mean_texel_strip_along_edges(tmp_path):
+    """In a texel of side k a place is on average k / 4 from the texel's point.
+
+    The strip that differs along an edge is that wide.
+    """
     (band,) = in_map(made(tmp_path, hung(plate(120.0, 0.0, -60.0, 140.0)), sun=SUN)).lights["sun"].casts["meshes"].bands
     assert band.near_m == 0.0 and band.far_m is None and band.pixel_m == pytest.approx(310.0 / 300.0)
     seen_m2 = 310.0**2 - 120.0**2
@@ -107,8 +110,8 @@ def test_by_night_nothing_faces_the_sun(tmp_path):
     assert (facts.facing_share, facts.cast_share, facts.casts) == (0.0, 0.0, {})
 
 
-def test_a_ridge_throws_its_shadow_as_far_as_it_is_high(make_scene, write_raster):
-    """From its crest to 100 m / tan(30 degrees) away; its far side is turned away from the sun itself."""
+def test_shadow_of_a_ridge_has_its_closed_form_length(make_scene, write_raster):
+    """The shadow reaches 100 m / tan(30 degrees) from the crest. The far side of the ridge faces away from the sun."""
     heights = np.zeros((64, 64), np.float32)
     heights[32] = 100.0
     scene = make_scene(write_raster(heights, "EPSG:32616", 700_000.0, 4_000_000.0, 30.0), 180.0, 30.0)
@@ -118,8 +121,8 @@ def test_a_ridge_throws_its_shadow_as_far_as_it_is_high(make_scene, write_raster
     assert facts.facing_share == pytest.approx(1.0 - 1.0 / 64.0, abs=0.01)
 
 
-def test_the_nearest_edge_of_a_shadow_is_where_it_is(tmp_path):
-    """Seen from above, the end of the shadow of a wall lies as far north of it as the wall is high."""
+def test_nearest_shadow_edge_has_its_closed_form_distance(tmp_path):
+    """Seen from above, the shadow of a wall ends as far north of the wall as the wall is high."""
     scene = made(tmp_path, block((100.0, 1.0, 40.0)), sun=SUN, views={"down": DOWN})
     facts = describe(scene, scene.view("down"), "down").lights["sun"]
     assert 205.0 < facts.nearest_edge_m < 255.0
@@ -129,8 +132,11 @@ def test_the_nearest_edge_of_a_shadow_is_where_it_is(tmp_path):
     assert sum(shares) == pytest.approx(facts.facing_share)
 
 
-def test_a_spot_lights_what_lies_in_its_cone(tmp_path):
-    """A cone of 20 degrees from 100 m lights a disc of 36 m; an omni light all of the floor, a face of the cube round it."""
+def test_a_spot_lights_only_its_cone(tmp_path):
+    """A cone of 20 degrees from 100 m lights a disc of 36 m.
+
+    An omni light lights all of the floor, one face of the cube around it.
+    """
     spot = {"kind": "spot", "position": [0, 0, 100], "target": [0, 0, 0], "cutoff": 20}
     scene = made(tmp_path, sun="none", lights={"spot": spot, "omni": {"kind": "omni", "position": [0, 0, 100]}}, size=180.0)
     lights = describe(scene, scene.view("map")).lights
@@ -143,19 +149,19 @@ def test_a_spot_lights_what_lies_in_its_cone(tmp_path):
 
 
 @pytest.mark.parametrize(("body", "edges"), [(block((20, 30, 25)), 6), (plate(30.0, 0.0, 0.0, 20.0), 4)])
-def test_the_outline_of_a_box_has_six_edges_and_that_of_a_plate_four(tmp_path, body, edges):
+def test_silhouettes_of_box_and_plate_have_6_and_4_edges(tmp_path, body, edges):
     scene = made(tmp_path, body, sun={"azimuth": 205, "altitude": 40}, views={"down": DOWN})
     facts = describe(scene, scene.view("down"), "down").lights["sun"]
     assert facts.silhouette_edges == edges
     assert facts.silhouette_px > 0.0
 
 
-def test_edges_are_shared_by_position():
+def test_mesh_edges_are_shared_by_position():
     edges = mesh_edges(np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 2], [3, 4, 5]]))
     assert len(edges.ends) == 5 and (edges.triangle_pair[:, 1] >= 0).sum() == 1
 
 
-def test_the_length_of_an_edge_is_what_falls_into_the_picture():
+def test_projected_length_is_clipped_to_the_picture():
     low, high = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
     inside = np.array([[[-5.0, 0.0, 100.0], [5.0, 0.0, 100.0]]])
     half = np.array([[[0.0, 0.0, 10.0], [20.0, 0.0, 10.0]]])
@@ -168,8 +174,8 @@ def test_the_length_of_an_edge_is_what_falls_into_the_picture():
 @pytest.mark.parametrize(
     ("light", "is_positional"), [(np.array([0.0, 0.0, 1.0]), False), (np.array([5.0, 0.0, 20.0]), True)], ids=["sun", "lamp"]
 )
-def test_one_side_of_a_shadow_volume_lies_before_what_is_seen_through_it(light, is_positional):
-    """An edge 10 m up, from x = 0 to 10: its side hangs down from it, wider below a lamp."""
+def test_mean_volume_layers_counts_sides_before_points(light, is_positional):
+    """An edge 10 m up runs from x = 0 to 10. Its volume side hangs down from it, and is wider below a lamp."""
     ends = np.array([[[0.0, 0.0, 10.0], [10.0, 0.0, 10.0]]])
     start = np.tile([5.0, -20.0, 5.0], (4, 1))
     way = np.array([[0.0, 40.0, 0.0], [0.0, 10.0, 0.0], [0.0, 40.0, 20.0], [12.0, 40.0, 0.0]])
@@ -181,7 +187,7 @@ def test_one_side_of_a_shadow_volume_lies_before_what_is_seen_through_it(light, 
 
 @settings(max_examples=20)
 @given(st.integers(0, 2**31), st.integers(1, 300))
-def test_rays_meet_the_triangles_that_embree_says(seed, count):
+def test_any_hit_agrees_with_embree(seed, count):
     rng = np.random.default_rng(seed)
     vertices = np.repeat(rng.uniform(-10, 10, (count, 1, 3)), 3, axis=1) + rng.uniform(-2, 2, (count, 3, 3))
     vertices, triangles = vertices.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
@@ -194,7 +200,7 @@ def test_rays_meet_the_triangles_that_embree_says(seed, count):
     assert (found != expected).sum() <= 1  # one that grazes an edge in float32
 
 
-def test_leaves_stop_the_rays_that_embree_says(tmp_path):
+def test_first_leaf_hits_agree_with_embree(tmp_path):
     places = np.random.default_rng(3).uniform(-60, 60, (150, 2))
     wkb = shapely.to_wkb(shapely.points(places))
     pyogrio.raw.write(tmp_path / "trees.gpkg", wkb, [np.full(150, 12.0)], ["height"], geometry_type="Point", crs=ENGINEERING)
@@ -217,12 +223,12 @@ def test_leaves_stop_the_rays_that_embree_says(tmp_path):
 
 
 @given(st.integers(0, 5000), st.integers(1, 2000))
-def test_a_few_of_many_are_distinct_and_in_order(size, count):
+def test_stratified_indices_are_distinct_and_ordered(size, count):
     some = stratified_indices(size, count)
     assert len(some) == min(size, count)
     assert (np.diff(some) > 0).all() and (not len(some) or (some[0] >= 0 and some[-1] < size))
 
 
-def test_chance_is_even():
+def test_quasirandom_points_are_evenly_spread():
     counts = np.histogram2d(*quasirandom(np.arange(1024)).T, bins=8, range=[[0, 1], [0, 1]])[0]
     assert counts.min() >= 12 and counts.max() <= 20

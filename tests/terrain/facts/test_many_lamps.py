@@ -1,4 +1,4 @@
-"""Of many lamps only those that reach a view make work: counted, not timed; and none whose light is missed is left out."""
+"""Many lamps: only those that reach a view cost work (counted, not timed), and no lamp is omitted whose light would be missed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LEVEL = {
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory):
-    """With all lamps, and with the one that reaches."""
+    """Return two scenes: one with all lamps, and one with only the lamp that reaches."""
     folder, found = tmp_path_factory.mktemp("lamps"), []
     for name, lights in (("all", NEAR | FAR), ("near", NEAR)):
         path = folder / f"{name}.yaml"
@@ -59,15 +59,15 @@ def test_only_lamps_that_reach_are_probed_planned_and_drawn(gl, scenes, monkeypa
     assert why["lamps left out"] == "no light from far0, far1, far2 and 57 others reaches the view"
 
 
-def test_lamps_that_are_forced_on_are_all_looked_at(scenes):
+def test_lamps_that_are_forced_on_are_all_planned(scenes):
     scene = scenes[0]
     forced = scene.loaded.level.model_copy(update={"effects": {"lamps": "on"}})
     descriptor = describe(scene, scene.view("eye"), "eye")
     assert len(make_plan(descriptor, forced).lights) == 62
 
 
-def test_in_a_map_a_lamp_beside_it_stays_in_the_plan(scenes):
-    """It may stand for other maps of its scale, which that lamp reaches."""
+def test_a_map_s_plan_keeps_lamps_that_do_not_reach_it(scenes):
+    """The plan may serve other maps of the same scale, which that lamp reaches."""
     scene = scenes[0]
     view = scene.view("map", (-50.0, -50.0, 50.0, 50.0))
     descriptor = describe(scene, view)
@@ -76,12 +76,12 @@ def test_in_a_map_a_lamp_beside_it_stays_in_the_plan(scenes):
 
 
 DIM = 30
-"""Lamps, each of which alone is too dim to be seen."""
+"""Number of lamps, each too dim to be seen alone."""
 
 
 @pytest.fixture(scope="module")
 def dim_scene(tmp_path_factory):
-    """A dark plain under a ring of lamps, each just too dim to be seen alone."""
+    """Return a dark plain under a ring of lamps, each just too dim to be seen alone."""
     path = tmp_path_factory.mktemp("dim") / "dim.yaml"
 
     def scene_of(count: int, intensity: float):
@@ -105,7 +105,7 @@ def dim_scene(tmp_path_factory):
     return scene_of(DIM, low / 1.02)  # others of the ring are a little nearer
 
 
-def test_lamps_that_are_dim_alone_are_seen_together(gl, dim_scene):
+def test_lamps_too_dim_alone_are_seen_together(gl, dim_scene):
     scene, view = dim_scene, dim_scene.view("eye")
     descriptor, level = describe(scene, view, "eye"), scene.loaded.level
     colors = []
@@ -119,7 +119,7 @@ def test_lamps_that_are_dim_alone_are_seen_together(gl, dim_scene):
     assert 0 < len(left_out) < 5, "some are left out, those alone that are not missed"
 
 
-def test_the_dimmest_are_left_out_as_long_as_their_sum_does_not_show():
+def test_negligible_lamps_are_the_dimmest_within_the_limit():
     assert negligible_lamps({}, 1.0) == set()
     assert negligible_lamps({"a": 0.4, "b": 0.1, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b", "c"}, (
         "a sum that is no more than the limit"
@@ -133,7 +133,7 @@ def test_the_dimmest_are_left_out_as_long_as_their_sum_does_not_show():
 
 
 @given(most=st.dictionaries(st.text(max_size=3), st.integers(0, 10), max_size=12), least=st.integers(0, 30))
-def test_any_lamps_that_are_left_out_come_to_less_than_shows(most, least):
+def test_negligible_lamps_sum_to_the_limit_at_most(most, least):
     unseen = negligible_lamps(most, least)
     seen = most.keys() - unseen
     together = sum(most[name] for name in unseen)

@@ -1,4 +1,4 @@
-"""Anti-aliased pictures: samples where something ends, means of linear light, and data that know nothing of it."""
+"""Anti-aliased pictures: samples at edges, means of linear light, and data layers without samples."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def floor(write_raster) -> Path:
 
 @pytest.fixture
 def tower(floor, make_scene, tmp_path) -> Scene:
-    """A white tower against the sky, turned by 45 degrees so that it shows two faces, seen from its foot's height and leaning."""
+    """Return a white tower against the sky, seen from its foot and leaning, turned so that it shows two faces."""
     trimesh.creation.box(extents=(20.0, 20.0, 60.0)).export(tmp_path / "tower.obj")
     views = {"eye": {"kind": "perspective", "eye": [-60, -70, 1], "target": [3, 0, 38], "fov": 45, "size": [128, 96]}}
     meshes = [{"source": "tower.obj", "at": [0, 0], "turn": 17, "color": [0.95, 0.95, 0.95]}]
@@ -40,7 +40,7 @@ def tower(floor, make_scene, tmp_path) -> Scene:
 
 
 def unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
-    """The frame with one point a pixel."""
+    """Render the frame with one point per pixel."""
     with monkeypatch.context() as patch:
         patch.setattr(
             render_module, "picture_buffer", lambda scene, part: MultisampledBuffer(geometry_buffer(scene, part), part.rows)
@@ -49,13 +49,13 @@ def unsampled(monkeypatch: pytest.MonkeyPatch, scene: Scene) -> Frame:
 
 
 def wall_share(scene: Scene, view: PerspectiveView) -> np.ndarray:
-    """Share of each pixel that shows a mesh, by 16 x 16 points."""
+    """Return the share of each pixel that shows a mesh, from 16 x 16 points."""
     fine = geometry_buffer(scene, view.finer(16)).kind == MESHES
     return fine.reshape(view.rows, 16, view.cols, 16).mean(axis=(1, 3))
 
 
-def test_edges_are_between_and_the_inside_is_plain(gl, tower, monkeypatch):
-    """On the outline against the sky colours between the sky's and the wall's; a face's inside is of one colour."""
+def test_edge_pixels_are_blended_and_face_interiors_plain(gl, tower, monkeypatch):
+    """On the outline against the sky, colours lie between the sky's and the wall's. The interior of a face has one colour."""
     view = tower.view("eye")
     frame, plain, buffer = render(tower, view), unsampled(monkeypatch, tower), geometry_buffer(tower, view)
     wall, sky = buffer.kind == MESHES, buffer.kind == NO_SURFACE
@@ -76,8 +76,8 @@ def test_edges_are_between_and_the_inside_is_plain(gl, tower, monkeypatch):
         assert not inside.any() or (np.ptp(frame.color[inside].astype(int), axis=0) <= 1).all()
 
 
-def test_an_edge_s_mean_is_the_share_of_its_pixel(gl, tower):
-    """Against 16 x 16 points a pixel: nearer by far than one point is, and without a bias."""
+def test_edge_means_match_the_covered_share_of_the_pixel(gl, tower):
+    """Compared with 16 x 16 points per pixel, the means are far nearer than one point is, and unbiased."""
     view = tower.view("eye")
     picture = multisampled(tower, view)
     row, col = picture.pixels
@@ -93,8 +93,8 @@ def test_an_edge_s_mean_is_the_share_of_its_pixel(gl, tower):
     np.testing.assert_array_equal(found[~binary_dilation(partly, iterations=2)], own[~binary_dilation(partly, iterations=2)])
 
 
-def test_samples_lie_inside_the_pixels_that_they_are_of(gl, tower):
-    """Their points, seen from the eye, are within half a pixel of the pixel's middle, at the four places of the grid."""
+def test_samples_lie_inside_their_pixels(gl, tower):
+    """Seen from the eye, the samples' points lie within half a pixel of the pixel's middle, at the four places of the grid."""
     view = tower.view("eye")
     picture = multisampled(tower, view)
     buffer = picture.buffer
@@ -110,8 +110,8 @@ def test_samples_lie_inside_the_pixels_that_they_are_of(gl, tower):
     assert {(a, b) for a, b in np.sign(off).astype(int).tolist()} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
 
 
-def test_data_know_nothing_of_the_samples(gl, tower, monkeypatch):
-    """Visibility, heights and positions are those of a frame without samples; colours are so where nothing ends."""
+def test_samples_leave_data_layers_unchanged(gl, tower, monkeypatch):
+    """Visibility, heights and positions equal those of a frame without samples. Colours do so away from edges."""
     view = tower.view("eye")
     smooth = render(tower, view)
     pixels = multisampled(tower, view).pixels
@@ -128,7 +128,7 @@ def test_data_know_nothing_of_the_samples(gl, tower, monkeypatch):
 
 
 def test_a_floor_alone_needs_no_samples(gl, floor, make_scene):
-    """Its triangles meet, but nothing ends between them; at its rim against the sky something does."""
+    """Its triangles meet, but no surface ends between them. At the floor's rim against the sky the surface ends."""
     down = {"eye": {"kind": "perspective", "eye": [0, 0, 100], "target": [0, 1, 0], "fov": 50, "size": [64, 48]}}
     scene = make_scene(floor, views=down)
     picture = multisampled(scene, scene.view("eye"))
@@ -143,8 +143,8 @@ def test_a_floor_alone_needs_no_samples(gl, floor, make_scene):
     assert rim.any() and (marked == rim).all()
 
 
-def test_means_are_of_linear_light(gl, tower):
-    """What is averaged is light, not bytes: the picture's edge pixels are the mean of their points' linear colours."""
+def test_edge_means_are_of_linear_light(gl, tower):
+    """Light is averaged, not bytes: edge pixels of the picture are the mean of their points' linear colours."""
     view = tower.view("eye")
     picture = multisampled(tower, view)
     frame = render(tower, view)
@@ -161,7 +161,7 @@ def test_means_are_of_linear_light(gl, tower):
 
 
 def test_averages_in_closed_form():
-    """Two pixels of 2 x 3 with four samples each, the last row filled up: means of five."""
+    """Two pixels of 2 x 3 have four samples each, and the last row is padded: the means are of five values."""
     picture = np.arange(6, dtype=np.float32).reshape(2, 3, 1)
     samples = np.array([10, 20, 30, 40, 100, 100, 100, 100, 999], np.float32).reshape(3, 3, 1)
     found = MultisampledBuffer(None, 2, (np.array([0, 1]), np.array([1, 2])), 4).averaged(np.concatenate([picture, samples]))  # type: ignore[arg-type]
@@ -170,8 +170,11 @@ def test_averages_in_closed_form():
     np.testing.assert_allclose(found, expected)
 
 
-def test_looks_through_all_pixels_find_what_is_sampled(gl, tower):
-    """A look goes through every eighth pixel: 64 of them, each a pixel on, decide of all, as the picture's own triangles do."""
+def test_coarse_views_of_all_pixels_find_the_sampled_edges(gl, tower):
+    """A coarse view samples every eighth pixel.
+
+    The 64 coarse views, each shifted by a pixel, together find the edges that the picture's own triangles give.
+    """
     view = tower.view("eye")
     wide = multisampled(tower, view.part(-1, -1, view.rows + 2, view.cols + 2))
     marked = np.zeros((view.rows + 2, view.cols + 2), bool)
@@ -188,8 +191,11 @@ def test_looks_through_all_pixels_find_what_is_sampled(gl, tower):
     assert np.mean(shares) == pytest.approx(found.mean())
 
 
-def test_a_look_that_meets_the_sky_alone_goes_through_every_pixel(gl, tower):
-    """Of a few pixels at the tower's outline the first one shows the sky: all of them are looked at, and their edges found."""
+def test_a_coarse_view_of_sky_alone_samples_every_pixel(gl, tower):
+    """The first of a few pixels at the tower's outline shows the sky.
+
+    The coarse view then samples all of them and finds their edges.
+    """
     view = tower.view("eye")
     wall = geometry_buffer(tower, view).kind == MESHES
     row = int(np.flatnonzero(wall.any(axis=1))[0]) + 12
@@ -199,8 +205,8 @@ def test_a_look_that_meets_the_sky_alone_goes_through_every_pixel(gl, tower):
     assert coarse_view_of(tower, part).edge_share == pytest.approx(len(multisampled(tower, part).pixels[0]) / 49)
 
 
-def test_a_descriptor_says_where_something_ends(gl, tower, floor, make_scene):
-    """About as many pixels as are sampled; none in a map, nor on a floor alone."""
+def test_descriptor_s_edge_share_is_the_sampled_share(gl, tower, floor, make_scene):
+    """The edge share is about the share of sampled pixels. It is 0 in a map and on a floor alone."""
     view = tower.view("eye", size=(512, 384))
     real = len(multisampled(tower, view).pixels[0]) / (view.rows * view.cols)
     assert describe(tower, view).edge_share == pytest.approx(real, abs=0.01) and real > 0.01
@@ -210,8 +216,11 @@ def test_a_descriptor_says_where_something_ends(gl, tower, floor, make_scene):
     assert describe(scene, scene.view("eye")).edge_share == 0.0
 
 
-def test_ends_of_leaves_are_told_from_few_rays(gl):
-    """Of a park most edges are those of its trees, which no look shows: with them it is about as many as are sampled."""
+def test_edge_share_includes_leaf_edges_from_few_rays(gl):
+    """Most edges in a park are those of its trees, which no coarse view shows.
+
+    With them the edge share is about the sampled share.
+    """
     scene = build_scene(load_level(find_level("spatialace")))
     view = scene.view("overview", size=(320, 256))
     real = len(multisampled(scene, view).pixels[0]) / (view.rows * view.cols)

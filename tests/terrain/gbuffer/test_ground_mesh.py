@@ -1,4 +1,4 @@
-"""The ground of perspective views: the raster's own nodes where they can be drawn; one conforming mesh for a view's parts."""
+"""The ground mesh of perspective views: the raster's own nodes where these can be drawn, and one conforming mesh per view."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ def view_of(scene: Scene) -> PerspectiveView:
 
 
 def edge_uses(mesh: GroundMesh) -> Counter:
-    """How often each edge between two nodes is met, whichever way."""
+    """Count the triangles at each edge between two nodes, in either direction."""
     ends = np.sort(np.concatenate([mesh.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1)
     return Counter(map(tuple, ends.tolist()))
 
 
 def plan_area_m2(mesh: GroundMesh) -> np.ndarray:
-    """Areas (m,) of the triangles on the map, positive counter-clockwise."""
+    """Return the triangles' areas (m,) on the map, positive if counter-clockwise."""
     x, y = mesh.x[mesh.triangles], mesh.y[mesh.triangles]
     return 0.5 * ((x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0]))
 
 
-def test_square_cells_are_the_nodes_themselves(hills, make_scene):
-    """Every cell's centre, height and place; two triangles a quad, counter-clockwise from above."""
+def test_ground_mesh_of_square_cells_has_the_raster_s_nodes(hills, make_scene):
+    """The mesh has every cell's centre, height and place. Each quad has two triangles, counter-clockwise from above."""
     scene = make_scene(hills, views=eye())
     mesh = ground_mesh(scene, view_of(scene))
     assert mesh.tolerance_px == 0.0 and len(mesh.x) == ROWS * COLS and len(mesh.triangles) == 2 * (ROWS - 1) * (COLS - 1)
@@ -76,7 +76,7 @@ def test_square_cells_are_the_nodes_themselves(hills, make_scene):
 
 
 def test_normals_and_creases_of_a_plane_and_of_a_fold(write_raster, make_scene):
-    """A plane bends nowhere; along a fold of two planes the crease is the distance of their unit normals."""
+    """A plane has no crease. Along the fold of two planes the crease is the distance of their unit normals."""
     x = np.arange(40) * 10.0
     heights = np.tile(np.where(x < 200, 0.0, (x - 200) * 0.5), (30, 1)).astype(np.float32)
     raster = write_raster(heights, ENGINEERING, -200.0, 150.0, 10.0)
@@ -91,7 +91,7 @@ def test_normals_and_creases_of_a_plane_and_of_a_fold(write_raster, make_scene):
     np.testing.assert_allclose(crease[np.abs(middle) > 11], 0.0, atol=1e-5)
     np.testing.assert_allclose(crease[np.abs(middle) < 9], fold, atol=1e-5)
     some = ground_creases(mesh, np.concatenate([every[:, ::7], every[:, :1] * 0 + len(mesh.triangles) + 5], axis=1))
-    np.testing.assert_array_equal(some[::7], crease[::7])  # what is beyond the ground is no triangle of it
+    np.testing.assert_array_equal(some[::7], crease[::7])  # a number past the ground's triangles is ignored
     assert not np.delete(some, np.s_[::7]).any()
     node = mesh.x - 5.0
     np.testing.assert_allclose(mesh.normal_frame[node < -1], np.tile([0, 0, 1], ((node < -1).sum(), 1)), atol=1e-6)
@@ -99,8 +99,8 @@ def test_normals_and_creases_of_a_plane_and_of_a_fold(write_raster, make_scene):
     assert 0.1 < (mesh.normal_frame[np.abs(node) < 1] @ slope).min() < 1.0 - 1e-3
 
 
-def test_holes_stay_holes(write_raster, make_scene):
-    """No triangle has a corner without data, and the mesh is whole round the hole."""
+def test_ground_mesh_keeps_nodata_holes(write_raster, make_scene):
+    """No triangle has a corner without data, and the mesh is complete around the hole."""
     heights = rolling()
     heights[20:30, 30:45] = -9999.0
     scene = make_scene(write_raster(heights, UTM, X0, Y0, 25.0, nodata=-9999.0), views=eye(target=(1500.0, 900.0)))
@@ -116,7 +116,7 @@ def test_holes_stay_holes(write_raster, make_scene):
 
 @pytest.mark.parametrize("terrain", [{}, {"resolution": 60.0}])
 def test_a_geographic_raster_is_drawn_on_a_metric_grid(write_raster, make_scene, terrain):
-    """Nodes of the level's map grid, as fine as the raster (or as asked), square on the ground, all of them on the data."""
+    """Nodes lie on the level's map grid, as fine as the raster or as requested, square on the ground, and all on the data."""
     west, north, cell = 14.0, 54.2, 3e-4  # about 19.5 m by 33 m
     raster = write_raster(rolling(), "EPSG:4326", west, north, (1.7 * cell, cell))
     views = {"eye": {"kind": "perspective", "eye": [west + 0.005, north - 0.014, 30], "target": [west + 0.02, north - 0.008, 0]}}
@@ -136,8 +136,8 @@ def test_a_geographic_raster_is_drawn_on_a_metric_grid(write_raster, make_scene,
     assert 0.88 < covered <= 1.0
 
 
-def test_a_large_ground_is_decimated_within_its_budget_and_still_fits_together(hills, make_scene):
-    """Nodes are the raster's, no edge has a node of another triangle in it, and the plan is covered once."""
+def test_decimated_ground_mesh_is_conforming_within_its_budget(hills, make_scene):
+    """Nodes are the raster's, no edge contains a node of another triangle, and the plan is covered once."""
     scene = make_scene(hills, views=eye())
     view = view_of(scene)
     whole, mesh = ground_mesh(scene, view), ground_mesh(scene, view, 2000)
@@ -161,7 +161,7 @@ def test_a_large_ground_is_decimated_within_its_budget_and_still_fits_together(h
 
 
 def test_parts_shifts_and_turned_cameras_share_one_mesh(hills, make_scene):
-    """It is the same object for a view's parts and shifts; turning the camera on the spot changes no triangle."""
+    """A view's parts and shifts share one object. Turning the camera on the spot changes no triangle."""
     scene = make_scene(hills, views=eye())
     view = view_of(scene)
     mesh = ground_mesh(scene, view, 2000)
@@ -173,7 +173,7 @@ def test_parts_shifts_and_turned_cameras_share_one_mesh(hills, make_scene):
     np.testing.assert_array_equal(turned.position_frame_m, mesh.position_frame_m)
 
 
-def test_a_ground_of_too_many_nodes_is_read_at_their_averages(hills, make_scene, monkeypatch):
+def test_a_ground_of_too_many_nodes_is_averaged(hills, make_scene, monkeypatch):
     monkeypatch.setattr(module, "MAX_SIDE_NODES", 40)
     scene = make_scene(hills, views=eye())
     mesh = ground_mesh(scene, view_of(scene))
@@ -184,8 +184,8 @@ def test_a_ground_of_too_many_nodes_is_read_at_their_averages(hills, make_scene,
 
 
 @pytest.mark.parametrize("shape", [(1, 50), (50, 1), (2, 50), (2, 2)])
-def test_strips_have_the_triangles_they_have(gl, write_raster, make_scene, shape):
-    """Ground of one row or column has no triangle and is not seen; one of two rows is a ribbon."""
+def test_ground_mesh_needs_two_rows_and_two_columns(gl, write_raster, make_scene, shape):
+    """Ground of one row or column has no triangle and is not visible. Ground of two rows is a ribbon."""
     raster = write_raster(np.zeros(shape, np.float32), ENGINEERING, -5.0 * shape[1], 5.0 * shape[0], 10.0)
     views = {"eye": {"kind": "perspective", "eye": [0, 0, 30], "target": [0.5, 0.5, 0], "size": [40, 30]}}
     scene = make_scene(raster, views=views)
@@ -197,8 +197,8 @@ def test_strips_have_the_triangles_they_have(gl, write_raster, make_scene, shape
 
 
 @pytest.mark.parametrize("behind", [False, True])
-def test_ground_behind_the_eye_casts(gl, write_raster, make_scene, behind):
-    """A wall behind the camera throws its shadow into the picture, as long as h / tan(a); without it nothing is dark."""
+def test_ground_behind_the_camera_casts_a_shadow(gl, write_raster, make_scene, behind):
+    """A wall behind the camera casts a shadow of length h / tan(a) into the picture. Without the wall nothing is dark."""
     heights = np.zeros((80, 80), np.float32)
     if behind:
         heights[58:61] = 40.0  # its northern upper edge at y = -10 * (58 - 39.5) = -185

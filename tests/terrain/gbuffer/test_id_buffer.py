@@ -1,4 +1,4 @@
-"""What is left undrawn is not seen: ground beside the view, and pixels that nobody wants."""
+"""The id buffer omits only what is not visible: ground outside the view, and pixels outside the mask."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def part_of(scene: Scene, name: str) -> PerspectiveView:
 
 
 @pytest.mark.parametrize("name", ["main", "overview", "close"])
-def test_ground_beside_the_view_is_not_missed(gl, landscape, monkeypatch, name):
+def test_frustum_culling_leaves_the_id_buffer_unchanged(gl, landscape, monkeypatch, name):
     view = part_of(landscape, name)
     frame = view.frame(landscape.world)
     some, counts = RasterisedView(landscape, view, frame).seen, []
@@ -44,8 +44,7 @@ def test_ground_beside_the_view_is_not_missed(gl, landscape, monkeypatch, name):
     np.testing.assert_array_equal(some.depth, every_one.depth)
 
 
-def test_wanted_pixels_show_what_they_show_among_all(gl, landscape):
-    """And the others nothing."""
+def test_pixel_mask_keeps_its_pixels_and_empties_the_others(gl, landscape):
     view = part_of(landscape, "main")
     frame, pixel_mask = view.frame(landscape.world), np.random.default_rng(5).random((view.rows, view.cols)) < 0.3
     whole, some = RasterisedView(landscape, view, frame).seen, RasterisedView(landscape, view, frame, pixel_mask=pixel_mask).seen
@@ -55,8 +54,8 @@ def test_wanted_pixels_show_what_they_show_among_all(gl, landscape):
     assert not some.number[~pixel_mask].any()
 
 
-def test_what_a_view_shows_is_kept_under_another_sun(gl, landscape):
-    """But for no other view, and for no other second of the clock."""
+def test_multisampled_buffer_is_cached_across_suns(gl, landscape):
+    """The cache entry serves no other view and no other second of the clock."""
     view = part_of(landscape, "close")
     shown = multisampled(landscape, view)
     assert multisampled(landscape.with_sun(SunSpec(azimuth=90, altitude=40)), part_of(landscape, "close")) is shown

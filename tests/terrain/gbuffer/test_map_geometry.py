@@ -29,7 +29,7 @@ WORLD = World(CRS.from_epsg(4326), False, 15.0, 47.0, 15.0, 47.0)
 
 
 @pytest.mark.parametrize(("name", "epsg"), [("WebMercatorQuad", 3857), ("WGS1984Quad", 4326)])
-def test_map_views_at_a_zoom_s_resolution_share_the_tiles_grid(name, epsg):
+def test_map_views_at_a_zoom_s_resolution_share_the_tile_grid(name, epsg):
     tms = matrix_sets.get(name)
     for zoom in (3, 9, 14):
         grid = tile_grid(tms, zoom)
@@ -43,7 +43,7 @@ def test_map_views_at_a_zoom_s_resolution_share_the_tiles_grid(name, epsg):
 
 
 @given(st.floats(0.01, 5000))
-def test_other_map_views_take_the_power_of_two_at_or_below(resolution):
+def test_map_grid_step_is_the_power_of_two_at_or_below(resolution):
     grid = map_grid(WORLD, CRS.from_epsg(32633), resolution)
     assert grid.step <= resolution * (1 + 1e-9) < 2 * grid.step * (1 + 2e-9)
     assert float(np.log2(grid.step)).is_integer()
@@ -63,7 +63,7 @@ def test_blocks_on_nodes_are_world_fixed_and_cover_the_view():
 
 @pytest.mark.parametrize(("epsg", "place"), [(3857, (-84.25, 36.2933)), (4326, (-84.25, 36.2933)), (32616, (-84.25, 36.2933))])
 def test_nodes_lie_where_proj_says(epsg, place):
-    """Interpolated nodes against the transformation of every node: under a millimetre on earth, 1e-6 of a cell."""
+    """Interpolated nodes agree with the transformation of every node: under a millimetre on earth, 1e-6 of a cell."""
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     crs = CRS.from_epsg(epsg)
     x, y = Transformer.from_crs(4326, crs, always_xy=True).transform(*place)
@@ -124,9 +124,9 @@ def test_points_lie_on_the_triangle_they_name(tile):
 
 @pytest.mark.parametrize(("tile", "share"), [(True, 1.0), (False, 0.99)])
 def test_position_lies_on_the_raster_s_surface(tile, share):
-    """``--layer position`` within 1 % of a cell of the bilinear surface: everywhere in tiles, whose pixels are nodes.
+    """``--layer position`` lies within 1 % of a cell of the bilinear surface everywhere in tiles, whose pixels are nodes.
 
-    Between nodes the drawn quads, half a pixel wide, cut the bilinear surface's kinks: there for 99 % of the pixels.
+    Between nodes the drawn quads, half a pixel wide, cut the kinks of the bilinear surface, so 99 % of the pixels do.
     """
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     view = block_at(-84.25, 36.2933, 12).part(313, 300, 200, 200) if tile else scene.view()
@@ -141,8 +141,11 @@ def test_position_lies_on_the_raster_s_surface(tile, share):
     assert within.mean() >= share
 
 
-def test_crease_is_zero_on_planes_and_the_normals_distance_on_folds(write_raster, make_scene):
-    """Between nodes that of two facets' normals; on a node, whose normal is the mean of both, that from the mean to either."""
+def test_crease_is_0_on_planes_and_normal_distance_on_folds(write_raster, make_scene):
+    """Between nodes the crease is the distance of two facets' normals.
+
+    On a node, whose normal is the mean of both, the crease is the distance from the mean to either.
+    """
     heights = np.zeros((40, 40), np.float32)
     heights[:, 20:] = np.arange(20) * 10.0  # a plane of 45 degrees from column 20 on
     scene = make_scene(write_raster(heights, ENGINEERING, 0, 400, 10))
@@ -158,7 +161,7 @@ def test_crease_is_zero_on_planes_and_the_normals_distance_on_folds(write_raster
 
 
 def test_frames_are_true_to_north_and_scale_in_web_mercator():
-    """A metre in a frame is a metre on the ground, and its north is true north, at latitude 60."""
+    """At latitude 60 a metre in a frame is a metre on the ground, and the frame's north is true north."""
     world = World(CRS.from_epsg(4326), False, 10.0, 60.0, 10.0, 60.0)
     frame = world.frame_near(CRS.from_epsg(4326), 10.0, 60.0)
     lon, lat, _ = Geod(ellps="WGS84").fwd(10.0, 60.0, 0.0, 1000.0)
@@ -180,8 +183,8 @@ def test_neighbouring_frames_place_the_same_ground_alike():
         np.testing.assert_allclose(frame.frame_from_earth.T @ local + frame.origin_earth_m, point, atol=1e-8)
 
 
-def test_sub_samples_that_share_nodes_are_the_same_to_the_bit():
-    """On nodes of their own, between them, and every fourth of them; with fewer nodes than a view needs it is refused."""
+def test_sub_samples_with_shared_nodes_are_identical():
+    """Views lie on nodes, between nodes, or on every fourth node. A view that needs more nodes than it is given is refused."""
     scene = build_scene(load_level(find_level("jacksboro")))
     full = scene.view("map")
     for view in (full.part(100, 200, 90, 70), subsampled_view(full.part(301, 202, 90, 70), 4)):

@@ -1,4 +1,4 @@
-"""What stands on a map's ground: buildings cover their outlines, trees stand at their places, whatever the view is cut from."""
+"""Bodies on a map's ground: buildings cover their outlines, and trees stand at their places, whichever part of a map is drawn."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def rolling(write_raster) -> Path:
 
 
 def written(path: Path, geometries: list, crs: str = UTM, **attributes) -> str:
-    """A GeoPackage of geometries in a CRS; its name for a level beside it."""
+    """Write a GeoPackage of geometries in a CRS and return its name for a level in the same folder."""
     fields = [np.asarray(values) for values in attributes.values()]
     pyogrio.raw.write(
         path, shapely.to_wkb(np.array(geometries, object)), fields, list(attributes), geometry_type="Unknown", crs=crs
@@ -46,7 +46,7 @@ def written(path: Path, geometries: list, crs: str = UTM, **attributes) -> str:
 
 
 def pixel_centres(view) -> tuple[np.ndarray, np.ndarray]:
-    """Map coordinates (rows, cols) of a view's pixels."""
+    """Return the map coordinates (rows, cols) of a view's pixel centres."""
     col, row = np.meshgrid(np.arange(view.cols), np.arange(view.rows))
     return view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
 
@@ -57,8 +57,8 @@ def buffers(scene: Scene, bounds, size) -> tuple[GeometryBuffer, np.ndarray, np.
 
 
 @pytest.mark.parametrize("turn", [0.0, 30.0, 45.0])
-def test_a_box_covers_the_pixels_whose_centres_lie_in_its_outline(gl, floor, make_scene, tmp_path, turn):
-    """Turned about its place; corners between pixel centres. At most a pixel's rounding of 1/256 off the outline."""
+def test_a_box_covers_pixels_with_centres_in_its_outline(gl, floor, make_scene, tmp_path, turn):
+    """The box is turned about its place, with corners between pixel centres. Rasterisers round its outline to 1/256 of a pixel."""
     trimesh.creation.box(extents=(20.3, 10.7, 8.0)).export(tmp_path / "box.obj")
     scene = make_scene(floor, meshes=[{"source": "box.obj", "at": [30.1, -20.2], "turn": turn}])
     buffer, x, y = buffers(scene, (0, -60, 60, 0), (240, 240))
@@ -81,7 +81,7 @@ def test_a_box_covers_the_pixels_whose_centres_lie_in_its_outline(gl, floor, mak
 
 
 def test_a_building_on_the_globe_covers_its_footprint(gl, rolling, make_scene, tmp_path):
-    """A footprint in a UTM zone: its outline, its roof's height, its points on the globe."""
+    """A footprint in a UTM zone keeps its outline, its roof's height, and its points on the globe."""
     outline = shapely.Polygon(np.array([(100, 120), (131, 127), (128, 150), (115, 146), (104, 149)]) + (X0, Y0 - 400))
     source = written(tmp_path / "houses.gpkg", [outline], height=[9.0])
     scene = make_scene(rolling, meshes=[{"source": source, "height": "height"}])
@@ -99,8 +99,8 @@ def test_a_building_on_the_globe_covers_its_footprint(gl, rolling, make_scene, t
     np.testing.assert_allclose(found, np.stack([x, y, buffer.height_m], axis=-1)[roof], atol=0.01)
 
 
-def test_what_is_buried_is_not_seen_and_what_stands_highest_is(gl, floor, make_scene, tmp_path):
-    """A box wholly below the ground shows nowhere; of two that overlap, the taller shows."""
+def test_buried_bodies_are_hidden_and_the_highest_one_shows(gl, floor, make_scene, tmp_path):
+    """A box wholly below the ground is not visible. Of two boxes that overlap, the taller one is."""
     trimesh.creation.box(extents=(40.0, 40.0, 3.0)).export(tmp_path / "low.obj")
     trimesh.creation.box(extents=(10.0, 10.0, 9.0)).export(tmp_path / "tower.obj")
     slab = trimesh.creation.box(extents=(20.0, 20.0, 1.0))
@@ -124,8 +124,8 @@ def test_what_is_buried_is_not_seen_and_what_stands_highest_is(gl, floor, make_s
     assert (buffer.kind == RELIEF).all() and (buffer.height_m == 5.0).all()
 
 
-def test_a_building_beyond_the_ground_s_data_is_seen_where_there_is_no_ground(gl, write_raster, make_scene, tmp_path):
-    """Where nodata lies under a part of a roof, the roof is there and the rest is not."""
+def test_a_building_over_nodata_is_visible(gl, write_raster, make_scene, tmp_path):
+    """Where nodata lies under a part of a roof, the roof is valid and the rest is not."""
     heights = np.full((41, 41), 5.0, np.float32)
     heights[:, 20:] = -9999.0
     floor = write_raster(heights, ENGINEERING, -205.0, 205.0, 10.0, nodata=-9999.0)
@@ -140,7 +140,10 @@ def test_a_building_beyond_the_ground_s_data_is_seen_where_there_is_no_ground(gl
 
 @pytest.mark.parametrize("species", ["conifer", "broadleaf"])
 def test_a_crown_lies_centred_at_its_tree_s_place(gl, rolling, make_scene, tmp_path, species):
-    """Seen from above: within the level quad and its upright edges, its middle the place, at the crown quad's height."""
+    """Seen from above, the crown lies within its level quad and its upright edges, centred on its place.
+
+    The height is that of the crown quad.
+    """
     place = np.array([X0 + 303.3, Y0 - 296.1])
     source = written(tmp_path / "tree.gpkg", [shapely.Point(*place)], height=[20.0], crown=[12.0])
     scene = make_scene(rolling, forest=[{"source": source, "height": "height", "crown": "crown", "species": species}])
@@ -169,15 +172,15 @@ def test_a_crown_lies_centred_at_its_tree_s_place(gl, rolling, make_scene, tmp_p
 
 
 def _convergence_deg(x: float, y: float) -> float:
-    """Angle from true north to grid north, clockwise, at a place of the zone."""
+    """Return the clockwise angle from true north to grid north at a place of the zone."""
     to = Transformer.from_crs("EPSG:4326", UTM, always_xy=True)
     lon, lat = to.transform(x, y, direction="INVERSE")
     further = to.transform(lon, lat + 1e-5)
     return -float(np.degrees(np.arctan2(further[0] - x, further[1] - y)))
 
 
-def test_a_wood_s_trees_are_all_where_they_stand(gl, rolling, make_scene, tmp_path):
-    """Every tree drawn covers pixels round its foot, and pixels without a tree near are the bare ground's."""
+def test_every_tree_of_a_wood_covers_pixels_around_its_foot(gl, rolling, make_scene, tmp_path):
+    """Pixels without a tree near are those of the bare ground."""
     rng = np.random.default_rng(4)
     places = np.column_stack([X0 + rng.uniform(100, 500, 60), Y0 - rng.uniform(100, 500, 60)])
     source = written(tmp_path / "trees.gpkg", [shapely.Point(*p) for p in places], height=np.full(60, 15.0), crown=np.full(60, 8.0))
@@ -194,8 +197,8 @@ def test_a_wood_s_trees_are_all_where_they_stand(gl, rolling, make_scene, tmp_pa
     assert (buffer.height_m >= plain.height_m).all()
 
 
-def test_whole_pixel_shifts_of_a_map_are_the_same_map(gl, rolling, make_scene, tmp_path):
-    """Pixels on nodes: points, visibility and colours are cut from the same blocks, whatever the view's corner."""
+def test_whole_pixel_shifts_leave_a_map_unchanged(gl, rolling, make_scene, tmp_path):
+    """Pixels lie on nodes, so points, visibility and colours come from the same blocks, whatever the view's corner."""
     rng = np.random.default_rng(5)
     places = np.column_stack([X0 + rng.uniform(250, 500, 150), Y0 - rng.uniform(280, 500, 150)])
     trees = written(tmp_path / "trees.gpkg", [shapely.Point(*p) for p in places], height=rng.uniform(8, 20, 150))
@@ -222,8 +225,8 @@ def test_whole_pixel_shifts_of_a_map_are_the_same_map(gl, rolling, make_scene, t
         np.testing.assert_array_equal(part.color[theirs], whole.color[ours])
 
 
-def test_a_block_s_part_has_the_block_s_points(gl, rolling, make_scene, tmp_path):
-    """A part of a view of the frame of the whole: heights and kinds of trees and meshes agree but for edges in float32."""
+def test_a_part_of_a_block_has_the_block_s_points(gl, rolling, make_scene, tmp_path):
+    """In the frame of the whole view, heights and kinds of trees and meshes agree except at edges in float32."""
     rng = np.random.default_rng(6)
     places = np.column_stack([X0 + rng.uniform(150, 450, 100), Y0 - rng.uniform(150, 450, 100)])
     trees = written(tmp_path / "trees.gpkg", [shapely.Point(*p) for p in places], height=rng.uniform(8, 20, 100))

@@ -1,4 +1,4 @@
-"""Perspective views: every pixel's point is where its ray meets what it shows, from a hand's breadth to the edge of space."""
+"""Perspective views: every pixel's point lies where its ray meets the visible surface, from 10 cm above ground to space."""
 
 from __future__ import annotations
 
@@ -24,11 +24,13 @@ from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 
 FLOOR_M = 200.0
-"""The floor's nodes reach so far from the middle."""
+"""Distance from the floor's middle to its outermost nodes, along each axis."""
 
 RASTER_PX = 0.1
-"""How far beside its ray a pixel may show a triangle: rasterisers snap corners to a grid of 1/256 pixel, and those of a triangle
-that reaches behind the eye are found in float32."""
+"""Tolerance, in pixels, between a pixel's ray and the triangle that it shows.
+
+Rasterisers snap corners to a grid of 1/256 pixel, and compute those of a triangle that reaches behind the eye in float32.
+"""
 
 UTM = "EPSG:32633"
 X0, Y0 = 400_000.0, 6_400_000.0
@@ -41,7 +43,7 @@ def floor(write_raster) -> Path:
 
 @pytest.fixture
 def hills(write_raster) -> Path:
-    """Rolling ground of about 120 m of relief over 3.2 km, 57.7 degrees north and off the zone's meridian."""
+    """Return rolling ground with about 120 m of relief over 3.2 km, 57.7 degrees north and off the zone's central meridian."""
     y, x = np.mgrid[0:65, 0:65] / 64.0
     heights = 300 + 40 * np.sin(9 * x + 2 * y) + 30 * np.cos(7 * y - 3 * x) + 8 * np.sin(31 * x) * np.sin(27 * y)
     return write_raster(heights.astype(np.float32), UTM, X0, Y0, 50.0)
@@ -52,13 +54,13 @@ def eye_view(eye, target, size=(64, 48), fov=50.0) -> dict:
 
 
 def at(east_m: float, north_m: float) -> tuple[float, float]:
-    """Longitude and latitude of a place counted from the corner of the hills, 3 km south of their north-west one."""
+    """Return longitude and latitude of a place, counted from the corner of the hills 3 km south of their north-west one."""
     lon, lat = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(X0 + east_m, Y0 - 3000 + north_m)
     return float(lon), float(lat)
 
 
 def rays_in_frame(view: PerspectiveView, buffer: GeometryBuffer) -> tuple[np.ndarray, np.ndarray]:
-    """The eye (3,) and the pixels' rays (rows, cols, 3) of depth 1 in a buffer's frame."""
+    """Return the eye (3,) and the pixels' rays (rows, cols, 3) of depth 1 in a buffer's frame."""
     x = (view.col0 + np.arange(view.cols) * view.step) / view.focal_px
     y = (view.row0 + np.arange(view.rows) * view.step) / view.focal_px
     x, y = np.meshgrid(x, y)
@@ -67,14 +69,14 @@ def rays_in_frame(view: PerspectiveView, buffer: GeometryBuffer) -> tuple[np.nda
 
 
 def off_px(view: PerspectiveView, point: np.ndarray, eye: np.ndarray, ray: np.ndarray) -> np.ndarray:
-    """How far points (n, 3) lie beside their pixels' rays, in pixels."""
+    """Return the distance of points (n, 3) from their pixels' rays, in pixels."""
     way = point - eye
     across = np.linalg.norm(np.cross(way, ray), axis=-1) / np.linalg.norm(ray, axis=-1)
     return across / np.linalg.norm(way, axis=-1) / view.pixel
 
 
 def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
-    """What is there is the floor, its points where the rays meet height 0; what the rays miss is not there."""
+    """Assert that pixels show the floor where their rays meet height 0, and are invalid where their rays miss it."""
     buffer = geometry_buffer(scene, view)
     eye, ray = rays_in_frame(view, buffer)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -88,7 +90,7 @@ def check_floor(scene: Scene, view: PerspectiveView) -> GeometryBuffer:
     assert valid.any()
     found = buffer.position_frame_m[valid]
     apart = np.linalg.norm(found - meeting[valid], axis=-1) / np.linalg.norm(meeting[valid] - eye, axis=-1)
-    # A pixel beside a triangle's edge may be given the neighbour, whose edge is then the nearest that it can show.
+    # A pixel beside a triangle's edge may get the neighbour, and then shows the nearest point of the neighbour's edge.
     exact = apart < 1e-6
     off = off_px(view, found, eye, ray[valid])
     assert exact.mean() > 0.97 and off.max() < RASTER_PX and np.abs(found[:, 2]).max() < 1e-9
@@ -121,8 +123,8 @@ def test_points_of_a_floor_in_closed_form(gl, floor, make_scene, name):
 
 
 @pytest.mark.parametrize("name", VIEWS)
-def test_whole_frames_of_hostile_views_are_finite(gl, floor, make_scene, name):
-    """With a box on the floor, so that the depth map and its look-up run: no NaN, and the floor lit but for the box's shadow."""
+def test_frames_of_extreme_views_are_finite(gl, floor, make_scene, name):
+    """A box on the floor makes the depth map and its look-up run. No value is NaN, and only the box's shadow is dark."""
     trimesh.creation.box(extents=(2.0, 2.0, 2.0)).export(floor.parent / "box.obj")
     meshes = [{"source": "box.obj", "at": [3.0, 2.0]}]
     scene = make_scene(floor, 200.0, 40.0, views=eye_view(**VIEWS[name]), meshes=meshes)
@@ -135,8 +137,8 @@ def test_whole_frames_of_hostile_views_are_finite(gl, floor, make_scene, name):
     assert (frame.visibility[ground & (away > 8.0)] == 1.0).all()
 
 
-def test_the_globe_from_the_edge_of_space(gl, hills, make_scene):
-    """500 km up over ground in a UTM zone: finite, and on the ground where a place says."""
+def test_the_view_from_the_edge_of_space_is_finite_and_exact(gl, hills, make_scene):
+    """From 500 km above ground in a UTM zone all values are finite, and points lie on the ground at the right place."""
     scene = make_scene(hills, views=eye_view((*at(1600, 1600), 500_000), (*at(1600, 1600), 0.0), fov=0.6))
     view = scene.view("eye")
     buffer = geometry_buffer(scene, view)
@@ -148,8 +150,8 @@ def test_the_globe_from_the_edge_of_space(gl, hills, make_scene):
     np.testing.assert_allclose(middle[:2], [X0 + 1600, Y0 - 1400], atol=1.0)
 
 
-def test_points_on_the_globe_lie_on_the_triangle_that_is_seen(gl, hills, make_scene):
-    """In its plane, inside it, and on the pixel's ray; heights, normals and corners are that triangle's, too."""
+def test_points_on_the_globe_lie_on_the_visible_triangle(gl, hills, make_scene):
+    """Points lie in its plane, inside it, and on the pixel's ray. Heights, normals and corners are that triangle's, too."""
     scene = make_scene(hills, views=eye_view((*at(300, 300), 60), (*at(1500, 1500), 0), size=(160, 100)))
     view = scene.view("eye")
     visible = RasterisedView(scene, view, view.frame(scene.world))
@@ -173,7 +175,7 @@ def test_points_on_the_globe_lie_on_the_triangle_that_is_seen(gl, hills, make_sc
     heights = ground.height_m[corner_numbers].astype(float)
     height = (1 - u - v) * heights[:, 0] + u * heights[:, 1] + v * heights[:, 2]
     np.testing.assert_allclose(buffer.height_m[valid], height, atol=1e-3)
-    # On the ray but for the rasteriser's grid of 1/256 pixel, and for silhouettes, where a triangle ends within the pixel.
+    # Points lie on the ray, except for the rasteriser's grid of 1/256 pixel and silhouettes that end within the pixel.
     eye, ray = rays_in_frame(view, buffer)
     off = off_px(view, point, eye, ray[valid])
     assert np.quantile(off, 0.9) < 1e-6 and off.max() < RASTER_PX
@@ -185,7 +187,7 @@ def test_points_on_the_globe_lie_on_the_triangle_that_is_seen(gl, hills, make_sc
     assert hidden.mean() < 0.002
 
 
-def test_a_box_shows_its_faces_in_their_planes_with_normals_outward(gl, floor, make_scene, tmp_path):
+def test_a_box_shows_its_faces_with_outward_normals(gl, floor, make_scene, tmp_path):
     size, at = np.array([10.0, 6.0, 8.0]), np.array([20.0, 30.0])
     trimesh.creation.box(extents=size).export(tmp_path / "box.obj")
     meshes = [{"source": "box.obj", "at": list(at), "color": [1.0, 0.0, 0.0]}]
@@ -217,15 +219,15 @@ def test_a_box_shows_its_faces_in_their_planes_with_normals_outward(gl, floor, m
 
 
 def _nearest_on_box(eye: np.ndarray, ray: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Where rays enter a box round the origin (slabs); NaN where they miss it."""
+    """Return where rays enter a box around the origin (slab method), or NaN where they miss it."""
     with np.errstate(divide="ignore"):
         near, far = (-np.sign(ray) * half - eye) / ray, (np.sign(ray) * half - eye) / ray
     enter, leave = near.max(axis=-1), far.min(axis=-1)
     return np.where((enter < leave)[..., None], eye + enter[..., None] * ray, np.nan)
 
 
-def test_a_sheet_is_seen_from_behind_with_its_normal_to_the_eye(gl, floor, make_scene, tmp_path):
-    """An open mesh has no inside: whichever side is looked at faces the eye."""
+def test_a_sheet_s_normal_faces_the_eye_from_either_side(gl, floor, make_scene, tmp_path):
+    """An open mesh has no inside: either side faces the eye."""
     sheet = trimesh.Trimesh([[-20, 0, 0], [20, 0, 0], [20, 0, 30], [-20, 0, 30]], [[0, 1, 2], [0, 2, 3]], process=False)
     sheet.export(tmp_path / "sheet.obj")
     for south in (1.0, -1.0):
@@ -239,8 +241,8 @@ def test_a_sheet_is_seen_from_behind_with_its_normal_to_the_eye(gl, floor, make_
         np.testing.assert_allclose(buffer.shading_normal_frame[seen], buffer.normal_frame[seen], atol=1e-6)
 
 
-def test_layers_of_depth_and_position(gl, hills, make_scene):
-    """Depth is along the axis; positions are in the map's CRS and agree with the raster between its cells."""
+def test_depth_is_along_the_axis_and_position_in_the_map_s_crs(gl, hills, make_scene):
+    """Positions agree with the raster between its cells."""
     scene = make_scene(hills, views=eye_view((*at(300, 300), 150), (*at(1500, 1500), 0), size=(80, 60)))
     view = scene.view("eye")
     frame = render(scene, view)
@@ -273,8 +275,8 @@ def test_a_view_off_the_data_is_refused_in_one_line(floor, make_scene):
 
 
 @pytest.mark.parametrize("target", [(0, 20, 100), (0, 0, 500)])
-def test_a_view_of_the_sky_alone(gl, floor, make_scene, target):
-    """No surface anywhere, a sky everywhere, and the plan's passes all the same."""
+def test_a_view_of_the_sky_alone_runs_all_passes(gl, floor, make_scene, target):
+    """No pixel shows a surface, every pixel shows the sky, and all of the plan's passes run."""
     scene = make_scene(floor, views=eye_view((0, 0, 10), target, fov=20.0))
     frame = render(scene, scene.view("eye"))
     assert not frame.valid.any() and np.isnan(frame.visibility).all() and np.isnan(frame.position_earth_m).all()
@@ -291,8 +293,8 @@ def test_the_sky_is_palest_at_the_horizon(gl, floor, make_scene):
 
 
 @pytest.mark.parametrize(("down", "right"), [(0, 0), (7, 0), (0, 13), (16, 16), (-5, 9)])
-def test_a_part_of_a_view_is_the_same_picture(gl, hills, make_scene, tmp_path, down, right):
-    """A shift by whole pixels with one plan: the same points and the same visibility where the two overlap."""
+def test_a_part_of_a_view_equals_the_whole_where_they_overlap(gl, hills, make_scene, tmp_path, down, right):
+    """A shift by whole pixels with one plan gives the same points and the same visibility."""
     trimesh.creation.box(extents=(60.0, 60.0, 90.0)).export(tmp_path / "tower.obj")
     meshes = [{"source": "tower.obj", "at": [at(d, d + 40.0) for d in (560.0, 800.0, 1100.0)]}]
     views = eye_view((*at(300, 300), 90), (*at(1500, 1500), 0), size=(128, 96))

@@ -1,4 +1,4 @@
-"""The trees that are drawn: their quads, in numba and in the shaders; thinned with their shade kept; fixed while cameras turn."""
+"""Tree instances: their quads in numba and in shaders, thinning that keeps their shade, and no change while cameras turn."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture
 def floor(write_raster) -> Path:
-    """A floor at height 0 that reaches 400 m from the middle."""
+    """Return a floor at height 0 that reaches 400 m from the middle."""
     return write_raster(np.zeros((81, 81), np.float32), ENGINEERING, -405.0, 405.0, 10.0)
 
 
@@ -54,7 +54,7 @@ def wooded(make_scene, tmp_path) -> Callable[..., Scene]:
 
 
 def eye_at(scene: Scene, eye, target, fov: float = 50.0, size=(64, 64)) -> PerspectiveView:
-    """A camera of a flat world."""
+    """Return a camera of a flat world."""
     return look_at(np.array(eye, float), np.array(target, float), UP, fov, size[1], size[0])
 
 
@@ -65,7 +65,10 @@ def stand_of(scene: Scene, view: PerspectiveView) -> TreeInstances:
 
 
 def quad_coordinates(point: np.ndarray, quad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Texture coordinates (n, 2) of points (n, 3) on quads (n, 4, 3) of corners SW, SE, NE, NW, and their distances from it."""
+    """Return texture coordinates (n, 2) of points (n, 3) on quads (n, 4, 3), and their distances from the quads.
+
+    The corners of a quad are SW, SE, NE and NW.
+    """
     right, up = quad[:, 1] - quad[:, 0], quad[:, 3] - quad[:, 0]
     way = point - quad[:, 0]
     u, v = ((way * side).sum(axis=1) / (side * side).sum(axis=1) for side in (right, up))
@@ -74,7 +77,7 @@ def quad_coordinates(point: np.ndarray, quad: np.ndarray) -> tuple[np.ndarray, n
 
 
 def alpha_at(stand: TreeInstances, tree: np.ndarray, part: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Full-resolution alpha (n,) of trees' quads at texture coordinates (n, 2)."""
+    """Return the full-resolution alpha (n,) of trees' quads at texture coordinates (n, 2)."""
     alpha = foliage().levels[0][..., 3] / 255.0
     return sample_alpha(alpha, uv, 2 * stand.variant[tree] + (part == 2))
 
@@ -83,8 +86,8 @@ def alpha_at(stand: TreeInstances, tree: np.ndarray, part: np.ndarray, uv: np.nd
 
 
 @pytest.mark.parametrize("species", ["conifer", "broadleaf"])
-def test_what_is_seen_of_a_tree_is_its_quads_cut_out_by_their_pictures(gl, floor, wooded, species):
-    """Each pixel's ray through the three quads of ``TreeInstances.corners``, in closed form: the nearest opaque one shows."""
+def test_a_tree_shows_its_nearest_opaque_quad(gl, floor, wooded, species):
+    """Each pixel's ray meets the three quads of ``TreeInstances.corners`` in closed form."""
     scene = wooded(floor, [[0.0, 0.0]], height=20.0, crown=9.0, species=species)
     view = eye_at(scene, (11.0, -15.0, 17.0), (0.0, 0.0, 9.0), 62.0, (420, 640))  # two pixels a texel: no mipmap
     visible = RasterisedView(scene, view, view.frame(scene.world))
@@ -115,8 +118,8 @@ def test_what_is_seen_of_a_tree_is_its_quads_cut_out_by_their_pictures(gl, floor
     assert np.quantile(apart, 0.97) < 1e-6 and apart.max() < 0.05
 
 
-def test_points_of_trees_lie_on_their_quads_where_these_are_opaque(gl, floor, wooded):
-    """Of many trees: each resolved point is on the quad that the number names, inside it, where its alpha is tree."""
+def test_points_of_trees_lie_on_opaque_parts_of_their_quads(gl, floor, wooded):
+    """Each resolved point of many trees lies inside the quad that its number names, where the quad's alpha is opaque."""
     rng = np.random.default_rng(2)
     scene = wooded(floor, rng.uniform(-40, 40, (40, 2)), height=rng.uniform(8, 20, 40), crown=rng.uniform(4, 9, 40))
     view = eye_at(scene, (5.0, -75.0, 14.0), (0.0, 0.0, 6.0), 50.0, (400, 300))
@@ -131,15 +134,18 @@ def test_points_of_trees_lie_on_their_quads_where_these_are_opaque(gl, floor, wo
     uv, off = quad_coordinates(buffer.position_frame_m[seen], stand.corners()[tree, part])
     assert off.max() < 1e-6 and uv.min() > -1e-9 and uv.max() < 1 + 1e-9
     alpha = alpha_at(stand, tree, part, uv)
-    assert (alpha >= THRESHOLD).mean() > 0.9 and (alpha >= 0.25).mean() > 0.95  # half of them in mipmaps
+    assert (alpha >= THRESHOLD).mean() > 0.9 and (alpha >= 0.25).mean() > 0.95  # half of them come from mipmaps
     height = buffer.height_m[seen]
     np.testing.assert_allclose(height, buffer.position_frame_m[seen][:, 2], atol=1e-4)
     assert (buffer.normal_frame[seen] @ UP)[part == 2] == pytest.approx(1.0, abs=1e-6)
     assert np.abs(buffer.normal_frame[seen] @ UP)[part < 2].max() < 1e-6
 
 
-def test_a_tree_s_corners_in_closed_form(floor, wooded):
-    """Two upright quads across each other and a level one in between, of the tree's height and crown, turned about its foot."""
+def test_tree_corners_match_their_closed_form(floor, wooded):
+    """Two upright quads cross, and a level one lies in between.
+
+    They have the tree's height and crown, and are turned about its foot.
+    """
     scene = wooded(floor, [[120.0, -33.0]], height=16.0, crown=7.0)
     trees = scene.objects.trees
     stand = stand_of(scene, eye_at(scene, (120, -60, 5), (120, -33, 5)))
@@ -157,7 +163,7 @@ def test_a_tree_s_corners_in_closed_form(floor, wooded):
 
 
 def test_trees_on_the_globe_stand_upright_where_they_are(write_raster, wooded):
-    """Up is the ellipsoid's normal at the foot: 20 km from a map frame's origin it leans by 0.18 degrees."""
+    """Up is the ellipsoid's normal at the foot. It leans by 0.18 degrees at 20 km from a map frame's origin."""
     raster = write_raster(np.full((60, 60), 100.0, np.float32), UTM, 400_000.0, 6_400_000.0, 1000.0)
     rng = np.random.default_rng(3)
     places = np.column_stack([rng.uniform(405_000, 455_000, 200), rng.uniform(6_345_000, 6_395_000, 200)])
@@ -177,8 +183,8 @@ def test_trees_on_the_globe_stand_upright_where_they_are(write_raster, wooded):
     np.testing.assert_allclose(found[near] - expected[near], np.tile([0, 0, 30.0], (near.sum(), 1)), atol=0.02)
 
 
-def test_culling_leaves_out_no_tree_that_is_seen_or_reaches_in(floor, wooded):
-    """Against all corners of all trees: cones and boxes keep whatever has a corner inside."""
+def test_tree_culling_keeps_every_tree_with_a_corner_inside(floor, wooded):
+    """Culling by cones and by boxes is compared with all corners of all trees."""
     rng = np.random.default_rng(5)
     scene = wooded(floor, rng.uniform(-150, 150, (800, 2)), height=rng.uniform(3, 25, 800), crown=rng.uniform(2, 15, 800))
     view = eye_at(scene, (20, -30, 9), (40, 60, 3), 40.0, (90, 60))
@@ -201,8 +207,8 @@ def test_culling_leaves_out_no_tree_that_is_seen_or_reaches_in(floor, wooded):
 # -- thinning
 
 
-def test_in_perspective_the_share_follows_the_distance(floor, wooded):
-    """k is the square of a tree's height in pixels over the module's; what is left is larger by the root of 1 / k."""
+def test_drawn_share_in_perspective_follows_the_distance(floor, wooded):
+    """The share k is the square of a tree's height in pixels over ``FULL_STAND_TREE_PX``. Drawn trees grow by the root of 1 / k."""
     rng = np.random.default_rng(6)
     scene = wooded(floor, rng.uniform(-390, 390, (20_000, 2)), height=5.0, crown=3.0)
     view = eye_at(scene, (0, -380, 30), (0, 0, 0), 50.0, (160, 100))
@@ -234,7 +240,7 @@ def test_turning_the_camera_changes_no_tree(floor, wooded):
         np.testing.assert_array_equal(other.corners(), stands[0].corners())
 
 
-def test_in_a_map_the_share_is_one_for_all_and_follows_the_pixel(floor, wooded):
+def test_drawn_share_in_a_map_follows_the_pixel_size(floor, wooded):
     rng = np.random.default_rng(8)
     scene = wooded(floor, rng.uniform(-390, 390, (8000, 2)), height=6.0, crown=4.0)
     frame = scene.world.frame_near(scene.elevation.crs, 0.0, 0.0)
@@ -252,7 +258,7 @@ def test_in_a_map_the_share_is_one_for_all_and_follows_the_pixel(floor, wooded):
 
 
 def shadow_share(scene: Scene, view: PerspectiveView) -> float:
-    """Truth's share of shadow on what a view shows of a stand and its ground."""
+    """Return the share of shadow, by ground truth, on what a view shows of a stand and its ground."""
     buffer = geometry_buffer(scene, view)
     rays = truth.ray_scene(buffer, scene, find_casters(scene, buffer), ALL_KINDS)
     return float(1.0 - truth.lit_mask(buffer, scene, "sun", rays)[buffer.valid].mean())
@@ -260,7 +266,7 @@ def shadow_share(scene: Scene, view: PerspectiveView) -> float:
 
 @pytest.mark.parametrize(("altitude", "density"), [(60.0, 400.0), (25.0, 500.0)])
 def test_a_thinned_stand_keeps_its_shade(gl, floor, make_scene, tmp_path, monkeypatch, altitude, density):
-    """A quarter of a wood's trees, twice as large, against all of them: the same share of shadow in the mean."""
+    """A quarter of a wood's trees, twice as large, gives the same mean share of shadow as all of them."""
     wood = shapely.to_wkb(np.array([shapely.box(-400, -400, 400, 400)], object))
     pyogrio.raw.write(tmp_path / "wood.gpkg", wood, [], [], geometry_type="Polygon", crs=ENGINEERING)
     spec = {"source": "wood.gpkg", "density": density, "height": [4.0, 4.0], "crown": [3.0, 3.0]}
@@ -277,11 +283,11 @@ def test_a_thinned_stand_keeps_its_shade(gl, floor, make_scene, tmp_path, monkey
     assert abs(np.mean(thinned) - np.mean(whole)) < 0.02
 
 
-# -- cameras that go round
+# -- cameras that circle a tree
 
 
-def test_a_tree_s_quads_are_the_same_from_all_round(floor, wooded):
-    """From eyes at one distance, thinned as trees far away are: nothing turns to the viewer."""
+def test_tree_quads_do_not_turn_towards_the_viewer(floor, wooded):
+    """The eyes are at one distance, where the tree is thinned and enlarged as distant trees are."""
     scene = wooded(floor, [[30.0, 40.0]], height=5.0, crown=3.0)
     found = []
     for bearing in np.radians([0, 77, 180, 251]):
@@ -294,8 +300,8 @@ def test_a_tree_s_quads_are_the_same_from_all_round(floor, wooded):
         np.testing.assert_allclose(other, found[0], atol=1e-5)
 
 
-def test_trees_are_kept_while_a_mesh_moves(gl):
-    """SpatialAce's figure flies; its trees are the same ones at every second."""
+def test_tree_instances_are_cached_while_a_mesh_moves(gl):
+    """SpatialAce's figure flies. Its trees are the same objects at every second."""
     scene = build_scene(load_level(find_level("spatialace")))
     view = scene.view("main")
     assert isinstance(view, PerspectiveView)

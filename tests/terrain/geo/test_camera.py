@@ -1,4 +1,4 @@
-"""The pinhole camera: which way it looks, and that its parts, shifts and finer pictures have the rays of the whole one."""
+"""The pinhole camera: its direction, and parts, shifts and finer views with the rays of the whole view."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ views = st.builds(
 
 
 def rays(view: PerspectiveView) -> np.ndarray:
-    """The pixels' rays (rows, cols, 3), earth-fixed, as the module's docstring defines them."""
+    """Return the pixels' rays (rows, cols, 3), earth-fixed, as the module's docstring defines them."""
     x = (view.col0 + np.arange(view.cols) * view.step) / view.focal_px
     y = (view.row0 + np.arange(view.rows) * view.step) / view.focal_px
     x, y = (v[..., None] for v in np.meshgrid(x, y))
@@ -37,13 +37,13 @@ def rays(view: PerspectiveView) -> np.ndarray:
 
 
 def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
-    """Angle between two vectors, exact for small ones."""
+    """Return the angle between two vectors, exact for small angles."""
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
 @given(views, offsets, offsets, sizes, sizes)
-def test_a_part_has_the_very_rays_of_the_whole(view, row, col, rows, cols):
-    """Bit by bit; beyond the picture they go on evenly."""
+def test_a_part_has_exactly_the_rays_of_the_whole(view, row, col, rows, cols):
+    """Rays are equal bit by bit. Beyond the picture they continue evenly."""
     around = view.part(min(row, 0), min(col, 0), rows + abs(row) + view.rows, cols + abs(col) + view.cols)
     top, left = row - min(row, 0), col - min(col, 0)
     np.testing.assert_array_equal(rays(view.part(row, col, rows, cols)), rays(around)[top : top + rows, left : left + cols])
@@ -67,7 +67,7 @@ def test_a_shift_within_a_pixel_lies_between_its_neighbours(view, down, right):
 
 @given(views, st.integers(1, 5))
 def test_a_finer_view_lies_evenly_inside_the_pixels(view, side):
-    """Its blocks' means are the pixels' own rays, its steps are even throughout, and it spans the same picture."""
+    """The means of its blocks are the pixels' own rays, its steps are even throughout, and it spans the same picture."""
     fine = view.finer(side)
     found = rays(fine)
     blocks = found.reshape(view.rows, side, view.cols, side, 3).mean(axis=(1, 3))
@@ -88,7 +88,7 @@ def test_a_finer_view_lies_evenly_inside_the_pixels(view, side):
 
 @given(st.floats(0.01, 179.0), st.integers(1, 3000), st.integers(1, 3000))
 def test_the_field_of_view_is_the_vertical_one(fov, rows, cols):
-    """From the first row's upper edge to the last one's lower edge, whatever the width."""
+    """The angle is from the first row's upper edge to the last row's lower edge, whatever the width."""
     view = look_at(np.zeros(3), np.array([0.0, 1.0, 0.0]), UP, fov, rows, cols)
     top, bottom = (view.row0 - 0.5) / view.focal_px, (view.row0 + rows - 0.5) / view.focal_px
     assert np.degrees(np.arctan(bottom) - np.arctan(top)) == pytest.approx(fov, rel=1e-9)
@@ -103,7 +103,7 @@ def test_the_field_of_view_is_the_vertical_one(fov, rows, cols):
     st.floats(1.0, 120.0),
 )
 def test_the_camera_is_upright_and_looks_at_its_target(eye, target, fov):
-    """The picture's middle shows the target, its rows are level, and what is above lies towards its top."""
+    """The picture's middle shows the target, its rows are level, and points above lie towards its top."""
     if np.linalg.norm(target - eye) < 1e-3:
         return
     view = look_at(eye, target, UP, fov, 5, 7)
@@ -119,7 +119,7 @@ def test_the_camera_is_upright_and_looks_at_its_target(eye, target, fov):
 
 
 @pytest.mark.parametrize("height", [-50.0, 50.0])
-def test_straight_down_and_up_the_top_is_north(height):
+def test_a_vertical_camera_has_north_at_its_top(height):
     view = look_at(np.array([1.0, 2.0, 0.0]), np.array([1.0, 2.0, height]), UP, 60.0, 4, 4)
     right, down, forward = view.earth_from_camera.T
     np.testing.assert_allclose(forward, [0, 0, np.sign(height)], atol=1e-15)
@@ -128,7 +128,7 @@ def test_straight_down_and_up_the_top_is_north(height):
 
 
 @pytest.mark.parametrize(("lon", "lat"), [(15.0, 57.0), (-84.0, -36.0), (179.9, 0.0)])
-def test_straight_down_on_the_globe_the_top_is_north(lon, lat):
+def test_a_vertical_camera_on_the_globe_has_north_at_its_top(lon, lat):
     ground, up = geocentric(np.float64(lon), np.float64(lat))
     north = geocentric(np.float64(lon), np.float64(lat + 1e-6))[0] - ground
     view = look_at(ground + 800.0 * up, ground, up, 60.0, 4, 4)
@@ -137,8 +137,8 @@ def test_straight_down_on_the_globe_the_top_is_north(lon, lat):
 
 
 @pytest.mark.parametrize("lean", [1e-3, 1e-6, 1e-8])
-def test_nearly_straight_down_it_stays_upright(lean):
-    """No jump to north while there is a direction at all: the top is where it leans."""
+def test_a_nearly_vertical_camera_stays_upright(lean):
+    """The top is where the camera leans. It does not jump to north while the lean has a direction at all."""
     view = look_at(np.zeros(3), np.array([lean, 0.0, -1.0]), UP, 60.0, 4, 4)
     axes = view.earth_from_camera
     np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
@@ -146,15 +146,15 @@ def test_nearly_straight_down_it_stays_upright(lean):
 
 
 @pytest.mark.parametrize("apart", [0.0, 1e-9, np.nan])
-def test_the_eye_itself_is_no_target(apart):
+def test_look_at_refuses_the_eye_as_target(apart):
     eye = np.array([3e6, 1e6, 5e6])
     with pytest.raises(InputError, match="target") as caught:
         look_at(eye, eye + np.array([apart, 0.0, 0.0]), UP, 50.0, 4, 4)
     assert "\n" not in str(caught.value) and "other than the eye" in str(caught.value)
 
 
-def test_a_frame_s_eye_and_axes_are_the_earth_s():
-    """A point's camera coordinates are the same by way of the frame; the frame's origin is near the eye."""
+def test_camera_coordinates_agree_by_way_of_the_frame():
+    """A point has the same camera coordinates by way of the frame, whose origin is near the eye."""
     eye, target = np.array([40_000.0, -70_000.0, 300.0]), np.array([40_200.0, -69_000.0, 10.0])
     view = look_at(eye, target, UP, 50.0, 10, 20)
     frame = view.frame(FLAT)

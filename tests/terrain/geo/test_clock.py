@@ -1,4 +1,4 @@
-"""Names of clocks: what is understood, and the nearest spelling of what is not; days that a calendar leaves out; places' clocks."""
+"""Names of clocks: valid names, the nearest spelling of invalid ones, days that a calendar omits, and clocks of places."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ APIA = ZoneInfo("Pacific/Apia")
         (" 02:00", 2.0), ("+5:45", 5.75), ("+545", 5.75), ("+1030", 10.5), ("\N{MINUS SIGN}3", -3.0), ("UTC + 9", 9.0),
     ],
 )  # fmt: skip
-def test_clock_named_understands_offsets(name, hours):
+def test_parse_clock_accepts_offsets(name, hours):
     assert parse_clock("clock", name).utcoffset(None) == timedelta(hours=hours)
 
 
@@ -28,11 +28,11 @@ def test_clock_named_understands_offsets(name, hours):
     ("name", "zone"),
     [("europe/oslo", "Europe/Oslo"), ("AMERICA/New York", "America/New_York"), ("gmt", "GMT"), (" Asia/Kolkata ", "Asia/Kolkata")],
 )
-def test_clock_named_finds_zones_of_either_case(name, zone):
+def test_parse_clock_ignores_the_case_of_zones(name, zone):
     assert str(parse_clock("clock", name)) == zone
 
 
-def test_zones_of_opposite_sign_stay_zones():
+def test_parse_clock_keeps_posix_zones_of_opposite_sign():
     """POSIX counts west of Greenwich: ``Etc/GMT+2`` lies two hours behind, ``GMT+2`` ahead."""
     moment = datetime(2024, 1, 1, tzinfo=UTC)
     assert moment.astimezone(parse_clock("clock", "Etc/GMT+2")).utcoffset() == timedelta(hours=-2)
@@ -47,13 +47,13 @@ def test_zones_of_opposite_sign_stay_zones():
         ("+24:00", "solar, utc"), ("+05:75", "solar, utc"), ("CEST", r"Europe/Oslo\.$"), ("../etc", r"Europe/Oslo\.$"),
     ],
 )  # fmt: skip
-def test_what_is_no_clock_is_answered_in_one_line(name, said):
+def test_parse_clock_refuses_unknown_names_in_one_line(name, said):
     with pytest.raises(InputError, match=said) as caught:
         parse_clock("clock", name)
     assert "\n" not in str(caught.value)
 
 
-def test_a_day_that_samoa_left_out_has_no_ends():
+def test_a_day_that_samoa_omitted_has_no_bounds():
     assert not has_day(date(2011, 12, 30), APIA)
     with pytest.raises(InputError, match="to: '2011-12-30' is not allowed. Allowed: a day in the calendar of Pacific/Apia, which"):
         day_bounds(date(2011, 12, 30), APIA, "to")
@@ -74,5 +74,5 @@ def test_a_day_that_samoa_left_out_has_no_ends():
     ],
 )
 def test_time_zone_is_that_of_the_place(lon_deg: float, lat_deg: float, zone: str):
-    """Not that of the meridian: Madrid keeps the clock of Berlin. Longitudes go round the earth."""
+    """The zone is not that of the meridian: Madrid keeps the clock of Berlin. Longitudes wrap around the earth."""
     assert time_zone_at(lon_deg, lat_deg) == zone

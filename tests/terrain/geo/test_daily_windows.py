@@ -1,4 +1,4 @@
-"""Daily windows: what clocks read, days of 23 and 25 hours, solar noon, and what is no date."""
+"""Daily windows: clock times, days of 23 and 25 hours, solar noon, and invalid dates."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def world() -> World:
 
 
 @pytest.mark.parametrize(("day", "hours"), [("2024-03-31", 23), ("2024-10-27", 25), ("2024-03-21", 24)])
-def test_days_on_which_clocks_change_are_shorter_and_longer(world, day, hours):
+def test_days_of_clock_changes_last_23_or_25_hours(world, day, hours):
     window = daily_window(date.fromisoformat(day), 0.0, 1440.0, OSLO, world)
     assert window.minutes == hours * 60
     assert window.clock_time_min(0.0) == 0.0
@@ -40,14 +40,14 @@ def test_the_clock_jumps_when_it_is_put_forward_or_back(world, day, before_min, 
     assert window.clock_time_min(before_min + 0.01) == pytest.approx(before_min + by, abs=0.02)
 
 
-def test_a_window_of_a_zone_lies_at_its_own_time(world):
+def test_a_window_starts_at_its_zone_s_clock_time(world):
     window = daily_window(date(2024, 6, 21), 8 * 60.0, 16 * 60.0, OSLO, world)
     assert (window.start, window.minutes, window.clock_min) == (datetime(2024, 6, 21, 6, tzinfo=UTC), 480.0, 480.0)
     fixed = daily_window(date(2024, 6, 21), 0.0, 1440.0, timezone(timedelta(hours=9)), world)
     assert (fixed.start, fixed.clock_min) == (datetime(2024, 6, 20, 15, tzinfo=UTC), 0.0)
 
 
-def test_a_reading_that_is_left_out_and_one_that_there_is_twice(world):
+def test_windows_handle_skipped_and_repeated_clock_times(world):
     left_out = daily_window(date(2024, 3, 31), 150.0, 240.0, OSLO, world)  # 02:30, which is 03:30 of summer time
     assert left_out.start == datetime(2024, 3, 31, 1, 30, tzinfo=UTC)
     assert left_out.clock_time_min(0.0) == 210.0
@@ -56,21 +56,21 @@ def test_a_reading_that_is_left_out_and_one_that_there_is_twice(world):
 
 
 @pytest.mark.parametrize(("day", "hours"), [("2024-11-02", 24), ("2024-11-03", 25), ("2024-03-10", 23)])
-def test_days_meet_where_midnight_comes_twice(world, day, hours):
+def test_days_are_contiguous_where_midnight_repeats(world, day, hours):
     """In Havana clocks go back from 01:00 to 00:00, and forward from 00:00 to 01:00."""
     window = daily_window(date.fromisoformat(day), 0.0, 1440.0, ZoneInfo("America/Havana"), world)
     assert window.minutes == hours * 60
 
 
-def test_a_date_that_a_calendar_leaves_out_is_refused(world):
+def test_a_date_that_a_calendar_omits_is_refused(world):
     with pytest.raises(InputError, match=r"date: '2011-12-30' is not allowed. Allowed: a day in the calendar of Pacific/Apia"):
         daily_window(date(2011, 12, 30), 0.0, 1440.0, APIA, world)
     with pytest.raises(InputError, match=r"to: '2011-12-30'"):
         windows_between(world, date(2011, 12, 28), date(2011, 12, 30), 1, (0.0, 1440.0), APIA)
 
 
-def test_dates_round_one_that_is_left_out_are_whole_days(world):
-    """Four dates, of which the calendar has three: a mean over them has no day without sun."""
+def test_dates_around_an_omitted_one_are_whole_days(world):
+    """The calendar has three of four dates, so a mean over them includes no day without sun."""
     windows = windows_between(world, date(2011, 12, 28), date(2011, 12, 31), 1, (0.0, 1440.0), APIA)
     assert [window.date.day for window in windows] == [28, 29, 31]
     assert [window.minutes for window in windows] == [1440.0] * 3
@@ -78,7 +78,7 @@ def test_dates_round_one_that_is_left_out_are_whole_days(world):
 
 
 @pytest.mark.parametrize("readings", [(120.0, 180.0), (150.0, 180.0)])
-def test_a_window_that_the_clock_goes_over_is_refused_and_left_out_of_spans(world, readings):
+def test_a_window_of_skipped_times_is_refused_or_omitted(world, readings):
     with pytest.raises(InputError, match=r"window: '02:[03]0-03:00' .* times that occur in Europe/Oslo on 2024-03-31"):
         daily_window(date(2024, 3, 31), *readings, OSLO, world)
     windows = windows_between(world, date(2024, 3, 30), date(2024, 4, 1), 1, readings, OSLO)
@@ -86,7 +86,7 @@ def test_a_window_that_the_clock_goes_over_is_refused_and_left_out_of_spans(worl
 
 
 @pytest.mark.parametrize("day", [date(2024, 2, 11), date(2024, 11, 3), date(2024, 6, 21)])
-def test_at_noon_of_true_solar_time_the_sun_stands_in_the_south(world, day):
+def test_the_sun_stands_in_the_south_at_solar_noon(world, day):
     window = daily_window(day, 8 * 60.0, 16 * 60.0, SOLAR, world)
     noon = window.start + timedelta(minutes=window.minutes / 2)
     path = sun_path([noon, window.start], LON, LAT)
@@ -95,7 +95,7 @@ def test_at_noon_of_true_solar_time_the_sun_stands_in_the_south(world, day):
     assert solar_min(window.start, LON, LAT) == pytest.approx(480.0, abs=0.01)
 
 
-def test_solar_time_differs_from_the_clock_by_the_equation_of_time(world):
+def test_solar_time_follows_the_equation_of_time(world):
     early, late = (
         (daily_window(day, 720.0, 721.0, SOLAR, world).start.replace(tzinfo=None) - datetime(2024, day.month, day.day, 12))
         / timedelta(minutes=1) + 4.0 * LON
@@ -105,7 +105,7 @@ def test_solar_time_differs_from_the_clock_by_the_equation_of_time(world):
     assert late == pytest.approx(14.2, abs=0.2)
 
 
-def test_dates_stand_in_even_steps():
+def test_dates_of_have_even_steps():
     assert dates_of(date(2024, 2, 26), date(2024, 3, 7), 3) == [
         date(2024, 2, 26),
         date(2024, 2, 29),
@@ -116,12 +116,12 @@ def test_dates_stand_in_even_steps():
 
 
 @pytest.mark.parametrize("text", ["2023-02-29", "2024-13-01", "soon", "21.3.2024"])
-def test_what_is_no_date_is_told_in_one_line(text):
+def test_parse_date_refuses_invalid_dates_in_one_line(text):
     with pytest.raises(InputError, match=rf"date: '{text}' is not allowed\. Allowed: a calendar date such as 2024-03-21"):
         parse_date("date", text)
 
 
-def test_windows_and_dates_that_run_back_are_refused(world):
+def test_windows_and_dates_that_run_backwards_are_refused(world):
     with pytest.raises(InputError, match="window: '16:00-08:00'"):
         daily_window(date(2024, 3, 21), 960.0, 480.0, UTC, world)
     with pytest.raises(InputError, match="to: "):

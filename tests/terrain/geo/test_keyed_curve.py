@@ -1,4 +1,4 @@
-"""Curves through keys with times: where they are, which way they go, and that nothing jerks or overshoots."""
+"""Curves through timed keys: their positions and directions, without jerks or overshoot."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def random_curve(seed: int, loop: bool = False, count: int = 7, size: int = 2) -
 
 
 @given(SEED, st.booleans())
-def test_it_passes_its_keys_at_their_times(seed, loop):
+def test_curve_passes_its_keys_at_their_times(seed, loop):
     curve = random_curve(seed, loop)
     np.testing.assert_allclose(curve.at(curve.times_s), curve.values, atol=1e-9)
     np.testing.assert_array_equal(curve.at(curve.times_s[0]), curve.values[0])
 
 
 @given(SEED, st.booleans())
-def test_its_velocity_has_no_jump(seed, loop):
-    """Also where it is held, and where it begins again."""
+def test_curve_velocity_is_continuous(seed, loop):
+    """This includes times where the curve is held, and where a loop begins again."""
     curve = random_curve(seed, loop)
     h = 1e-5
     for time in curve.times_s:
@@ -39,8 +39,8 @@ def test_its_velocity_has_no_jump(seed, loop):
         np.testing.assert_allclose((now - before) / h, (after - now) / h, atol=2e-2)
 
 
-def test_one_coordinate_is_pchip():
-    """But for its ends, where it starts from rest."""
+def test_curve_of_one_coordinate_is_pchip():
+    """The ends differ, because the curve starts from rest."""
     rng = np.random.default_rng(3)
     times, values = np.cumsum(rng.uniform(0.2, 3.0, 12)), rng.normal(size=12)
     curve = KeyedCurve(times, values[:, None])
@@ -48,15 +48,15 @@ def test_one_coordinate_is_pchip():
     np.testing.assert_allclose(curve.at(inner)[:, 0], PchipInterpolator(times, values)(inner), atol=1e-12)
 
 
-def test_even_keys_are_catmull_rom():
-    """A quarter of the way between p1 and p2, by the weights of Catmull and Rom at 1/4: -9, 111, 29 and -3 of 128."""
+def test_curve_of_even_keys_is_catmull_rom():
+    """A quarter of the way from p1 to p2, the Catmull-Rom weights are -9, 111, 29 and -3 of 128."""
     values = np.array([[0.0, 0.0], [6.0, 8.0], [16.0, 8.0], [22.0, 16.0]])  # each 10 m from the next
     curve = KeyedCurve(np.array([0.0, 2.0, 4.0, 6.0]), values)
     np.testing.assert_allclose(curve.at(2.5), np.array([-9.0, 111.0, 29.0, -3.0]) / 128.0 @ values, atol=1e-12)
 
 
 @given(SEED, st.booleans(), st.floats(0.0, 360.0))
-def test_it_is_the_same_along_any_axes(seed, loop, turn_deg):
+def test_curve_is_rotation_invariant(seed, loop, turn_deg):
     curve, turn = random_curve(seed, loop), np.radians(turn_deg)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     turned = KeyedCurve(curve.times_s, curve.values @ rotation.T, loop)
@@ -65,7 +65,7 @@ def test_it_is_the_same_along_any_axes(seed, loop, turn_deg):
 
 
 @given(SEED, st.booleans())
-def test_no_value_leaves_those_of_the_keys_round_it(seed, loop):
+def test_curve_stays_between_the_values_of_neighbouring_keys(seed, loop):
     curve = random_curve(seed, loop, size=1)
     for k in range(len(curve.times_s) - 1):
         ends = curve.values[k : k + 2, 0]
@@ -74,19 +74,19 @@ def test_no_value_leaves_those_of_the_keys_round_it(seed, loop):
 
 
 @given(SEED, st.booleans())
-def test_it_rests_between_keys_in_one_place(seed, loop):
+def test_curve_rests_between_equal_keys(seed, loop):
     curve = random_curve(seed, loop)
     np.testing.assert_array_equal(curve.at(np.linspace(*curve.times_s[2:4], 50)), np.tile(curve.values[2], (50, 1)))
 
 
-def test_it_is_held_before_and_after():
-    """Two keys: it starts and stops slowly, half-way at half the time."""
+def test_curve_is_held_before_and_after_its_keys():
+    """With two keys the curve starts and stops slowly, and is half-way at half the time."""
     curve = KeyedCurve(np.array([10.0, 30.0]), np.array([[0.0, 5.0], [100.0, 5.0]]))
     seconds = np.array([-1e9, 10.0, 15.0, 20.0, 25.0, 30.0, 1e9])
     np.testing.assert_allclose(curve.at(seconds)[:, 0], [0.0, 0.0, 15.625, 50.0, 84.375, 100.0, 100.0])
 
 
-def test_a_loop_goes_on_as_it_began():
+def test_a_loop_is_periodic():
     turn = np.linspace(0.0, 2.0 * np.pi, 9)
     values = 40.0 * np.column_stack([np.cos(turn), np.sin(turn)])
     values[-1] = values[0]
@@ -99,7 +99,7 @@ def test_a_loop_goes_on_as_it_began():
 
 
 @given(SEED, st.booleans())
-def test_its_direction_is_that_of_its_way(seed, loop):
+def test_curve_direction_is_that_of_its_motion(seed, loop):
     curve = random_curve(seed, loop)
     for seconds in np.random.default_rng(seed).uniform(curve.times_s[0], curve.times_s[-1], 20):
         way = curve.at(seconds + 1e-5) - curve.at(seconds - 1e-5)
@@ -107,7 +107,7 @@ def test_its_direction_is_that_of_its_way(seed, loop):
             np.testing.assert_allclose(unit(curve.direction_at(float(seconds))), unit(way), atol=1e-3)
 
 
-def test_what_rests_looks_the_way_it_came():
+def test_a_resting_curve_keeps_its_last_direction():
     values = np.array([[0.0, 0.0], [0.0, 0.0], [10.0, 0.0], [10.0, 0.0], [10.0, 10.0], [10.0, 10.0]])
     curve = KeyedCurve(np.arange(6.0), values)
     ways = {-3.0: (1, 0), 0.5: (1, 0), 1.0: (1, 0), 1.5: (1, 0), 2.0: (1, 0), 2.7: (1, 0), 3.5: (0, 1), 4.6: (0, 1), 9.0: (0, 1)}

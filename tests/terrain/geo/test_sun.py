@@ -33,7 +33,7 @@ def test_position_agrees_with_the_algorithm_s_published_example():
 
 
 def test_refraction_raises_the_low_sun():
-    """About 29 minutes of arc at the horizon, 5 at 10 degrees (Saemundsson's formula)."""
+    """Refraction is about 29 minutes of arc at the horizon and 5 at 10 degrees (Saemundsson's formula)."""
     from pandas import DatetimeIndex
     from pvlib.solarposition import spa_python
 
@@ -48,7 +48,7 @@ def test_refraction_raises_the_low_sun():
 @given(
     st.floats(-180, 180), st.floats(-89.9, 89.9), st.floats(0, 360, exclude_max=True), st.floats(-2, 89.99)
 )  # fmt: skip
-def test_angles_survive_the_way_through_the_earth_fixed_direction(lon, lat, azimuth, altitude):
+def test_sun_angles_survive_the_earth_fixed_direction(lon, lat, azimuth, altitude):
     world = globe(lon, lat)
     sun = sun_of(SunSpec(azimuth=azimuth, altitude=altitude), world)
     back = position_at(sun.to_sun_earth, world.earth_from_anchor)
@@ -56,8 +56,8 @@ def test_angles_survive_the_way_through_the_earth_fixed_direction(lon, lat, azim
     assert (back[0] - azimuth + 180) % 360 - 180 == pytest.approx(0.0, abs=1e-6 / np.cos(np.radians(altitude)))
 
 
-def test_one_direction_gives_each_place_its_own_angles():
-    """Directly under the sun it is noon; a quarter of the earth away the sun stands on the horizon."""
+def test_one_direction_gives_the_sun_s_angles_at_every_place():
+    """The sun is in the zenith at one place. A quarter of the earth away it stands on the horizon."""
     world = globe(10.0, 0.0)
     sun = sun_of(SunSpec(azimuth=0, altitude=90), world)
     for lon, altitude in ((10.0, 90.0), (55.0, 45.0), (100.0, 0.0), (-80.0, 0.0), (190.0, -90.0)):
@@ -88,7 +88,7 @@ def test_light_space_is_orthonormal_for_every_sun(azimuth, altitude):
 
 
 @pytest.mark.parametrize(("azimuth", "altitude"), [(0, 90), (90, 0), (180, 0), (270, 45), (0, 0)])
-def test_light_space_moves_little_with_the_sun(azimuth, altitude):
+def test_light_space_is_continuous_in_the_sun(azimuth, altitude):
     world = globe(15.0, 47.0)
     one, other = (
         light_space(world, sun_of(SunSpec(azimuth=azimuth, altitude=min(altitude + d, 90)), world)).light_from_earth
@@ -97,7 +97,7 @@ def test_light_space_moves_little_with_the_sun(azimuth, altitude):
     assert np.abs(one - other).max() < 1e-7
 
 
-def test_towards_sun_counts_along_the_ground():
+def test_towards_sun_m_is_measured_along_the_ground():
     world = globe(15.0, 47.0)
     sun = sun_of(SunSpec(azimuth=90, altitude=30), world)
     light = light_space(world, sun)

@@ -1,4 +1,4 @@
-"""Vector files: projection, mending, attributes, and what is refused."""
+"""Vector files: projection, repair, attributes, and refused files."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def point(x: float, y: float) -> dict:
     return {"type": "Point", "coordinates": [x, y]}
 
 
-def test_geojson_is_longitude_then_latitude_and_null_geometries_are_counted(geojson):
+def test_geojson_has_longitude_first_and_counts_null_geometries(geojson):
     source = geojson([point(9.0, 47.0), None, point(9.5, 46.5)], [{"h": 1}, {"h": 2}, {"h": 3.5}])
     features = read_features(source, UTM, ["h"])
     expected = Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform([9.0, 9.5], [47.0, 46.5])
@@ -45,13 +45,13 @@ def test_geojson_is_longitude_then_latitude_and_null_geometries_are_counted(geoj
     assert numeric_attribute(features, "h").tolist() == [1.0, 3.5]
 
 
-def test_multi_parts_stay_and_heights_of_points_are_dropped(geojson):
+def test_multi_parts_are_kept_and_heights_are_dropped(geojson):
     features = read_features(geojson([{"type": "MultiPoint", "coordinates": [[9, 47, 400], [9.1, 47, 500]]}]), UTM)
     assert shapely.get_num_geometries(features.geometry).tolist() == [2]
     assert not shapely.has_z(features.geometry).any()
 
 
-def test_invalid_polygons_are_mended_and_those_without_area_dropped(geojson, tmp_path):
+def test_polygons_are_repaired_or_dropped_without_area(geojson, tmp_path):
     broken = read_features(geojson([{"type": "Polygon", "coordinates": [BOW_TIE]}]), UTM).geometry[0]
     assert broken.is_valid
     halves = [
@@ -76,7 +76,7 @@ def test_long_edges_follow_their_parallel(geojson):
     assert MAX_EDGE[True] < 2.0  # else the edge would have been a chord, 100 m off
 
 
-def test_engineering_coordinates_stay_as_they_are(tmp_path):
+def test_engineering_coordinates_are_not_transformed(tmp_path):
     with_crs, without = tmp_path / "site.gpkg", tmp_path / "site.shp"
     for path in (with_crs, without):
         pyogrio.raw.write(path, shapely.to_wkb(shapely.points([[3.0, 4.0]])), [], [], geometry_type="Point", crs=SITE.to_wkt())
@@ -106,14 +106,14 @@ def test_shapefile_without_prj_is_refused(tmp_path):
         ),
     ],
 )
-def test_what_a_file_lacks_is_said_in_one_line(geojson, geometries, attributes, message):
+def test_missing_content_of_a_file_is_reported_in_one_line(geojson, geometries, attributes, message):
     with pytest.raises(SourceError) as caught:
         read_features(geojson(geometries, [{"name": "a", "h": 1}] * len(geometries)), UTM, attributes)
     assert message in str(caught.value) and "some.geojson" in str(caught.value) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["", "hello", "{}", '{"type":"FeatureCollection","features":[{"type":"Fea'])
-def test_what_is_no_vector_file_is_refused(tmp_path, text):
+def test_a_file_of_another_format_is_refused(tmp_path, text):
     path = tmp_path / "a.geojson"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(SourceError, match="a.geojson: .*Use a vector file that GDAL reads"):
@@ -128,12 +128,12 @@ def test_missing_files_folders_and_rasters_are_refused(tmp_path, write_raster):
             read_features(str(source), UTM)
 
 
-def test_degrees_have_no_place_on_a_made_ground(geojson):
+def test_degrees_are_refused_in_an_engineering_crs(geojson):
     with pytest.raises(SourceError, match="its CRS 'WGS 84' cannot be transformed into 'site'. Use a file in another CRS"):
         read_features(geojson([point(9, 47)]), SITE)
 
 
-def test_numbers_written_as_text_are_numbers_and_other_text_is_not(geojson):
+def test_numeric_attribute_parses_numbers_but_no_other_text(geojson):
     rows = [{"h": "12.5", "kind": "oak"}, {"h": None, "kind": "elm"}, {"h": " ", "kind": None}]
     features = read_features(geojson([point(9, 47)] * 3, rows), UTM, ["h", "kind"])
     np.testing.assert_array_equal(numeric_attribute(features, "h"), [12.5, np.nan, np.nan])
@@ -147,7 +147,7 @@ def test_numbers_written_as_text_are_numbers_and_other_text_is_not(geojson):
 
 @pytest.fixture
 def layered(tmp_path):
-    """A GeoPackage with a table, a layer without features, then points, parcels and buildings."""
+    """Return a GeoPackage with a table, a layer without features, then points, parcels and buildings."""
     path = tmp_path / "town.gpkg"
     square = [shapely.box(5e5, 5.2e6, 500010, 5200010)]
     layers = {
@@ -161,7 +161,7 @@ def layered(tmp_path):
     return str(path)
 
 
-def test_vector_layer_is_the_first_that_holds_such_geometries(layered):
+def test_vector_layer_is_the_first_with_matching_geometries(layered):
     assert (vector_layer(layered, (0,)).name, vector_layer(layered, (0, 2)).name) == ("wells", "wells")
     parcels = vector_layer(layered, (2,))
     assert (parcels.name, parcels.other_layers) == ("parcels", ("buildings",))
@@ -173,7 +173,7 @@ def test_vector_layer_is_the_first_that_holds_such_geometries(layered):
         read_features(layered, UTM, layer=vector_layer(layered, (2,), "empty"))
 
 
-def test_vector_layer_takes_a_name_and_says_which_there_are(layered, geojson):
+def test_vector_layer_takes_a_name_and_lists_the_layers(layered, geojson):
     assert vector_layer(layered, (0,), "buildings").name == "buildings"
     with pytest.raises(SourceError, match="town.gpkg: no layer 'roofs'. Use one of empty, wells, parcels, buildings, notes"):
         vector_layer(layered, (2,), "roofs")
@@ -182,8 +182,8 @@ def test_vector_layer_takes_a_name_and_says_which_there_are(layered, geojson):
         vector_layer("none.gpkg", (2,))
 
 
-def test_a_file_without_such_geometries_gives_what_it_has(layered):
-    """So that the reader can say what it is."""
+def test_vector_layer_falls_back_to_other_geometries(layered):
+    """The reader can then report which geometries the file has."""
     assert vector_layer(layered, (1,)).name == "wells"
 
 
@@ -192,7 +192,7 @@ TRACK = """<?xml version="1.0"?><gpx version="1.1" creator="x" xmlns="http://www
 <trkpt lat="47.1" lon="9.1"><time>2024-10-21T07:30:00Z</time></trkpt></trkseg></trk></gpx>"""
 
 
-def test_tracks_of_a_gpx_are_read_behind_its_empty_waypoints(tmp_path):
+def test_gpx_tracks_are_read_although_waypoints_are_empty(tmp_path):
     path = tmp_path / "tour.gpx"
     path.write_text(TRACK, encoding="utf-8")
     lines = vector_layer(str(path), (1,))
@@ -231,7 +231,7 @@ def test_one_bad_feature_among_many_is_named(geojson, bad, said):
     assert "\n" not in str(caught.value)
 
 
-def test_a_hole_in_its_polygon_stays_one(geojson):
+def test_a_hole_inside_its_polygon_is_kept(geojson):
     hole = [[9.006, 47.002], [9.008, 47.002], [9.008, 47.004], [9.006, 47.002]]
     (read,) = read_features(geojson([{"type": "Polygon", "coordinates": [SQUARE, hole]}]), UTM).geometry
     assert len(read.interiors) == 1

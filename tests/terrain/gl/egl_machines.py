@@ -1,4 +1,4 @@
-"""A machine with more devices than it has: EGL loads a second copy of Mesa as if it were another driver."""
+"""A machine with twice its EGL devices: EGL loads a second copy of Mesa as if it were another driver."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ VENDORS = Path("/usr/share/glvnd/egl_vendor.d")
 
 
 def two_mesas(folder: Path) -> dict[str, str]:
-    """The environment of a process for which EGL lists Mesa's devices twice; files lie in a folder."""
+    """Return the environment of a process for which EGL lists Mesa's devices twice; write its files to a folder."""
     driver = next((path for path in Path("/usr/lib").glob("*/libEGL_mesa.so.0")), None)
     mesa = VENDORS / "50_mesa.json"
     if driver is None or not mesa.is_file():

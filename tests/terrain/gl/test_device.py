@@ -1,4 +1,4 @@
-"""The OpenGL module: the rasteriser CI runs on, depth formats, clamping, guarded reads."""
+"""The OpenGL device: the rasteriser that CI uses, depth formats, clamping, and guarded reads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FRAGMENT = "#version 430\nvoid main() {}\n"
 
 
 def sheet(depth: float, rows: int = 3, cols: int = 3) -> np.ndarray:
-    """A sheet over the whole clip square at a depth in [0, 1]."""
+    """Return a sheet over the whole clip square at a depth in [0, 1]."""
     y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
     return np.stack([x, y, np.full_like(x, 2 * depth - 1)], axis=-1)
 
@@ -37,7 +37,7 @@ def draw(gl, sheets, bits: int = 24, size: int = 8) -> np.ndarray:
     return gl.read(target, attachment=-1)
 
 
-def test_ci_runs_on_the_rasteriser_that_goldens_are_made_on(gl):
+def test_ci_uses_the_rasteriser_of_the_goldens(gl):
     expected = os.environ.get("SKUGGA_EXPECT_RENDERER")
     if expected is None:
         assert not os.environ.get("CI"), "CI must say which rasteriser it expects"
@@ -46,7 +46,7 @@ def test_ci_runs_on_the_rasteriser_that_goldens_are_made_on(gl):
 
 
 @pytest.mark.parametrize(("bits", "step"), [(16, 1 / (2**16 - 1)), (24, 1 / (2**24 - 1)), (32, 2.0**-24)])
-def test_depth_is_stored_with_the_bits_asked_for(gl, bits, step):
+def test_depth_is_stored_with_the_requested_bits(gl, bits, step):
     depth = 0.123456789
     stored = draw(gl, [sheet(depth)], bits)
     assert np.ptp(stored) == 0.0
@@ -54,7 +54,7 @@ def test_depth_is_stored_with_the_bits_asked_for(gl, bits, step):
     assert bits != 16 or float(stored[0, 0]) * (2**16 - 1) == pytest.approx(round(depth * (2**16 - 1)), abs=0.01)
 
 
-def test_casters_before_the_near_plane_are_kept_and_the_nearest_wins(gl):
+def test_depth_pass_clamps_casters_and_keeps_the_nearest(gl):
     assert (draw(gl, [sheet(0.5), sheet(-3.0)]) == 0.0).all()
     assert draw(gl, [sheet(0.5), sheet(0.25), sheet(0.75)]) == pytest.approx(0.25, abs=1e-6)
     assert (draw(gl, []) == 1.0).all()
@@ -72,7 +72,7 @@ def test_depth_clamp_does_not_leak_into_the_next_pass(gl):
 
 def test_triangles_with_a_missing_corner_are_left_out(gl):
     whole = sheet(0.5, 3, 3)
-    whole[0, 0] = np.nan  # a corner of the NW quad alone: of its triangles one is left
+    whole[0, 0] = np.nan  # a corner of the NW quad only, which keeps one of its triangles
     program = gl.program(VERTEX, FRAGMENT)
     assert draw_sheet(gl, program, whole) == 7
     assert draw_sheet(gl, program, sheet(0.5, 3, 3)) == 8
@@ -80,8 +80,8 @@ def test_triangles_with_a_missing_corner_are_left_out(gl):
     assert draw_sheet(gl, program, sheet(0.5, 1, 3)) == 0
 
 
-def test_a_sheet_is_drawn_along_its_cuts(gl):
-    """Two opposite corners before what is drawn behind: along the diagonal between them alone is the middle before it, too."""
+def test_a_sheet_is_drawn_along_its_diagonals(gl):
+    """Two opposite corners are nearer than the others. The middle is as near only if the diagonal joins these two."""
     position = sheet(0.5, 2, 2)
     position[[0, 1], [0, 1], 2] = -0.8
     program, seen = gl.program(VERTEX, FRAGMENT), {}
@@ -94,7 +94,7 @@ def test_a_sheet_is_drawn_along_its_cuts(gl):
     assert seen[False] == pytest.approx(0.5, abs=1e-6) and seen[True] == pytest.approx(0.1, abs=1e-6)
 
 
-def test_reading_without_the_context_raises_and_gives_no_bytes(gl):
+def test_reading_without_the_context_raises(gl):
     target = gl.float_target(4, 4)
     caught: list[Exception] = []
 
@@ -110,21 +110,21 @@ def test_reading_without_the_context_raises_and_gives_no_bytes(gl):
     assert len(caught) == 1 and "context" in str(caught[0])
 
 
-def test_an_error_left_behind_is_found_once(gl):
+def test_check_raises_a_pending_error_once(gl):
     gl.ctx.enable_direct(0x1234)  # no such capability
     with pytest.raises(GraphicsError, match="GL_INVALID_ENUM in the sheet"):
         gl.check("the sheet")
     gl.check("what comes after")
 
 
-def test_a_shader_that_does_not_compile_is_one_line(gl):
+def test_a_shader_that_does_not_compile_raises_one_line(gl):
     with pytest.raises(GraphicsError) as caught:
         gl.program("#version 430\nvoid main() { nonsense }", FRAGMENT)
     assert "\n" not in str(caught.value)
     gl.check("what comes after")
 
 
-def test_a_program_is_labelled_by_its_parts_and_what_is_compiled_into_it(gl):
+def test_a_program_s_label_lists_its_parts_and_constants(gl):
     vertex = join_shader_parts(
         {"a/one": "in vec3 position;\n", "b/two.vert": "void main() { gl_Position = vec4(position, 1.0); }\n"}
     )
@@ -150,8 +150,8 @@ KINDS = [
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_programs_textures_are_the_samplers_that_it_can_read(gl, kind):
-    """Declared is not enough: the linker drops one that nothing reads, or that a compiled-in constant rules out."""
+def test_a_program_s_textures_are_its_active_samplers(gl, kind):
+    """The linker drops declared samplers that nothing reads, or that a compiled-in constant rules out."""
     size = "textureSize(one)" if kind == "sampler2DMS" else "textureSize(one, level)"
     fragment = f"""#version 430
 uniform {kind} one;
@@ -167,7 +167,7 @@ void main() {{ c = scale; if (looks) c *= float({size}.x); }}
     assert gl.program(VERTEX, fragment, {"looks": False}).extra.textures == ()
 
 
-def test_each_call_is_recorded_with_its_program(gl):
+def test_draw_calls_are_recorded_with_their_programs(gl):
     target, program, other = gl.depth_target(8, 8, 24), gl.program(VERTEX, FRAGMENT), gl.program(VERTEX, FRAGMENT + "// another\n")
     triangle, none = np.array([[0, 1, 2]], np.int32), np.zeros((0, 3), np.int32)
     corners = sheet(0.5).reshape(-1, 3)
@@ -183,8 +183,8 @@ def test_each_call_is_recorded_with_its_program(gl):
     assert len(calls) == 4 and [call is other.extra for call in calls] == [False, True, False, False]
 
 
-def test_depth_targets_and_textures_do_not_pile_up(gl):
-    """A bounded number of targets is kept; the others are released."""
+def test_the_number_of_depth_targets_is_bounded(gl):
+    """The device caches at most ``MAX_TARGETS`` targets and releases the others."""
     for size in range(16, 16 + 8 * MAX_TARGETS, 4):
         gl.depth_target(size, size, 16)
     assert gl.depth_targets.count <= MAX_TARGETS

@@ -1,4 +1,4 @@
-"""Which of EGL's devices a process draws with."""
+"""The choice of the EGL device that a process draws with."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SOFT = ProbedDevice("llvmpipe", "4.5")
 
 
 def tried(setting: str, kinds: list[ProbedDevice], turn: int = 0) -> list[int]:
-    """The numbers of the devices that are tried on a machine with devices of some kinds."""
+    """Return the numbers of the devices that are tried on a machine with devices of some kinds."""
     devices = [EglDevice(index, kind is SOFT) for index, kind in enumerate(kinds)]
     return [device.index for device in devices_to_try(setting, devices, turn, lambda index: kinds[index])]
 
@@ -51,12 +51,12 @@ def unprobed(index: int) -> ProbedDevice:
     ("text", "meaning"),
     [("auto", "auto"), ("", "auto"), ("Software ", "software"), ("2", (2,)), ("0, 1,1", (0, 1, 1))],
 )
-def test_settings(text, meaning):
+def test_read_setting_parses_devices(text, meaning):
     assert read_setting(text) == meaning
 
 
 @pytest.mark.parametrize("text", ["gpu", "-1", "0;1", "0,", "1.0", "٣", "auto,0"])
-def test_settings_that_are_none(text):
+def test_read_setting_refuses_other_text(text):
     with pytest.raises(InputError) as error:
         read_setting(text)
     assert str(error.value) == f"{EGL_DEVICE}: '{text}' is not allowed. Allowed: {egl_devices.EGL_DEVICE_VALUES}."
@@ -73,7 +73,7 @@ def test_settings_that_are_none(text):
         ("1,0", [CARD, EQUAL, SOFT], [1]),
     ],
 )
-def test_a_process_alone_prefers_cards_and_asks_no_other_device(setting, kinds, expected):
+def test_a_single_process_prefers_cards_and_probes_no_device(setting, kinds, expected):
     devices = [EglDevice(index, kind is SOFT) for index, kind in enumerate(kinds)]
     assert [device.index for device in devices_to_try(setting, devices, 0, unprobed)] == expected
 
@@ -84,7 +84,7 @@ def test_a_process_alone_prefers_cards_and_asks_no_other_device(setting, kinds, 
         ("auto", [CARD, EQUAL, SOFT], [0, 1, 0, 1]),
         ("auto", [CARD, OTHER, EQUAL, SOFT], [0, 2, 0, 2]),
         ("auto", [OTHER, CARD, EQUAL, SOFT], [0, 0, 0, 0]),
-        ("auto", [BROKEN, CARD, EQUAL, SOFT], [0, 2, 1, 2]),  # the first process finds out by itself, and takes device 1
+        ("auto", [BROKEN, CARD, EQUAL, SOFT], [0, 2, 1, 2]),  # the first process finds the fault itself, and takes device 1
         ("auto", [SOFT], [0, 0, 0, 0]),
         ("0,1", [CARD, EQUAL, SOFT], [0, 1, 0, 1]),
         ("1,0,1", [CARD, EQUAL, SOFT], [1, 0, 1, 1]),
@@ -96,14 +96,14 @@ def test_processes_take_turns_with_devices_of_one_kind(setting, kinds, firsts):
     assert [tried(setting, kinds, turn)[0] for turn in range(4)] == firsts
 
 
-def test_devices_of_two_kinds_are_refused_where_they_are_named_together():
+def test_a_setting_with_devices_of_two_kinds_is_refused():
     assert tried("0,1", [CARD, OTHER]) == [0]
     with pytest.raises(GraphicsError, match=f"{EGL_DEVICE}: '0,1' names devices of two kinds.*0 is Card 9, 4.6; 1 is Card 7, 4.6"):
         tried("0,1", [CARD, OTHER], turn=1)
 
 
 @pytest.mark.parametrize(("setting", "kinds"), [("2", [CARD, SOFT]), ("0,5", [CARD, SOFT]), ("software", [CARD])])
-def test_a_device_that_is_not_there(setting, kinds):
+def test_a_device_that_does_not_exist_is_refused(setting, kinds):
     with pytest.raises(InputError) as error:
         tried(setting, kinds)
     said = str(error.value)
@@ -115,7 +115,7 @@ def test_a_device_that_is_not_there(setting, kinds):
 
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch):
-    """``machine(*kinds)``: devices of some kinds; a context of one is its kind."""
+    """``machine(*kinds)`` fakes devices of some kinds. The context of a device is its kind."""
 
     def make(*kinds: ProbedDevice, setting: str = "auto") -> None:
         def context_of(index: int):
@@ -133,7 +133,7 @@ def machine(monkeypatch: pytest.MonkeyPatch):
     return make
 
 
-def test_a_card_that_gives_no_context_is_passed_over_and_told_of(machine, caplog: pytest.LogCaptureFixture):
+def test_a_card_without_a_context_is_skipped_and_logged(machine, caplog: pytest.LogCaptureFixture):
     machine(BROKEN, CARD, SOFT)
     with caplog.at_level(logging.WARNING):
         context, device = open_context()
@@ -143,7 +143,7 @@ def test_a_card_that_gives_no_context_is_passed_over_and_told_of(machine, caplog
     ]
 
 
-def test_one_that_is_named_is_not_passed_over(machine):
+def test_a_named_device_without_a_context_is_not_skipped(machine):
     machine(BROKEN, CARD, setting="0")
     with pytest.raises(GraphicsError) as error:
         open_context()
@@ -151,19 +151,19 @@ def test_one_that_is_named_is_not_passed_over(machine):
     assert f"{EGL_DEVICE}: '0' gives no OpenGL 4.3 context: device 0" in str(error.value)
 
 
-def test_where_none_gives_a_context_there_is_no_opengl(machine):
+def test_a_machine_without_any_context_has_no_opengl(machine):
     machine(BROKEN, BROKEN)
     with pytest.raises(NoOpenGLError, match=r"no OpenGL 4.3 context through EGL \(device 0 .*; device 1 .*Run 'skugga doctor'"):
         open_context()
 
 
-def test_a_process_takes_its_turn(machine):
+def test_open_context_uses_the_process_number(machine):
     machine(CARD, EQUAL, SOFT)
     set_process_number(3)
     assert open_context()[1].index == 1
 
 
-def test_an_egl_that_lists_no_devices(monkeypatch: pytest.MonkeyPatch):
+def test_an_egl_that_cannot_list_devices_is_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(egl_devices, "_function", lambda egl, name, *types: None)
     with pytest.raises(NoOpenGLError, match=r"cannot list devices without EGL_EXT_device_enumeration\)\. Without it"):
         egl_devices.egl_devices()
@@ -172,7 +172,7 @@ def test_an_egl_that_lists_no_devices(monkeypatch: pytest.MonkeyPatch):
         egl_devices.egl_devices()
 
 
-def test_this_machine(gl):
+def test_probes_of_this_machine_match_its_device(gl):
     devices = egl_devices.egl_devices()
     assert gl.egl_device in devices
     assert probed_device(gl.egl_device.index) == ProbedDevice(gl.renderer, gl.version)
@@ -183,7 +183,7 @@ def test_this_machine(gl):
     ("script", "fault"),
     [("exit 9", "ended the probe process"), ("echo no", "ended the probe process"), ("exec sleep 60", "no answer within")],
 )
-def test_a_driver_that_crashes_or_hangs_is_no_more_than_a_fault(script, fault, tmp_path, monkeypatch):
+def test_a_driver_that_crashes_or_hangs_is_a_fault(script, fault, tmp_path, monkeypatch):
     program = tmp_path / "python"
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
@@ -192,8 +192,8 @@ def test_a_driver_that_crashes_or_hangs_is_no_more_than_a_fault(script, fault, t
     assert fault in probed_device(0).fault
 
 
-def test_the_second_of_two_devices(gl, tmp_path):
-    """For real: EGL lists two, and the library's own setting says something else."""
+def test_the_setting_selects_the_second_of_two_devices(gl, tmp_path):
+    """The devices are real: EGL lists each twice, and the library's own setting names another one."""
     code = (
         "import json; from skugga.terrain.gl.device import device; from skugga.terrain.gl.egl_devices import egl_devices;"
         "gl = device(); gl.texture([[1.0]]); gl.check('a call');"
@@ -206,7 +206,7 @@ def test_the_second_of_two_devices(gl, tmp_path):
     assert (count, index, renderer) == (2 * len(egl_devices.egl_devices()), 1, gl.renderer)
 
 
-def test_a_wrong_device_is_one_line_that_ends_a_command(tmp_path):
+def test_a_wrong_device_ends_a_command_with_one_line(tmp_path):
     code = "import sys; from skugga.api.cli.main import main; sys.argv[0] = 'skugga'; main()"
     picture = tmp_path / "out.png"
     for setting in ("7", "gpu"):

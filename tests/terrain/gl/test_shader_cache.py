@@ -1,4 +1,4 @@
-"""Mesa's cache of shaders on a disk that is full."""
+"""Mesa's shader cache on a full disk."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MESA_INDEX_BYTES = 1_310_728
 
 @pytest.fixture
 def index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An index that is all holes, as Mesa makes it."""
+    """Return a sparse index file, as Mesa creates it."""
     monkeypatch.setenv(DISABLE_VARIABLE, "false")
     monkeypatch.setenv("MESA_SHADER_CACHE_DIR", str(tmp_path))
     path = tmp_path / "mesa_shader_cache" / "index"
@@ -28,7 +28,7 @@ def index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_an_index_has_no_holes(index: Path):
+def test_an_existing_index_is_allocated_in_full(index: Path):
     assert index.stat().st_blocks * 512 < MESA_INDEX_BYTES
     with index.open("r+b") as file:
         file.write(b"kept")
@@ -37,21 +37,21 @@ def test_an_index_has_no_holes(index: Path):
     assert index.read_bytes()[:5] == b"kept\0" and os.environ[DISABLE_VARIABLE] == "false"
 
 
-def test_an_index_that_opening_made_has_no_holes(index: Path):
+def test_an_index_made_while_opening_is_allocated_in_full(index: Path):
     index.unlink()
     with safe_shader_cache(), index.open("wb") as file:
         file.truncate(MESA_INDEX_BYTES)
     assert index.stat().st_blocks * 512 >= MESA_INDEX_BYTES
 
 
-def test_a_disk_without_room_for_an_index_has_no_shader_cache(index: Path, full_disk):
+def test_a_disk_without_room_for_an_index_disables_the_cache(index: Path, full_disk):
     index.unlink()
     with full_disk(1000), safe_shader_cache():
         assert os.environ[DISABLE_VARIABLE] == "true"
     assert list(index.parent.iterdir()) == []
 
 
-def test_a_disk_without_room_for_the_holes_has_no_shader_cache(index: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_disk_without_room_to_allocate_disables_the_cache(index: Path, monkeypatch: pytest.MonkeyPatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -62,7 +62,7 @@ def test_a_disk_without_room_for_the_holes_has_no_shader_cache(index: Path, monk
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 2 MiB with nothing free."""
+    """Mount a disk of 2 MiB without free space."""
     disk = tmp_path / "disk"
     disk.mkdir()
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "skugga-test", disk], capture_output=True, text=True)
@@ -91,8 +91,8 @@ context.finish()
 
 
 def test_a_process_draws_while_the_cache_s_disk_is_full(gl, small_disk: Path):
-    """Mesa's own index of holes ended it: 40 shaders are 40 places in the index."""
-    (small_disk / "all").write_bytes(bytes(2**21 - 2**16))  # enough for folders, and for a file of holes
+    """Mesa's own sparse index ended the process: 40 shaders write to 40 places in the index."""
+    (small_disk / "all").write_bytes(bytes(2**21 - 2**16))  # enough for folders, and for a sparse file
     environment = {**os.environ, "MESA_SHADER_CACHE_DIR": str(small_disk)}
     done = subprocess.run([sys.executable, "-c", PROGRAMS], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, (done.returncode, done.stderr)

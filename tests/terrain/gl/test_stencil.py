@@ -1,4 +1,4 @@
-"""Counting in the stencil: what adds and what takes, wrap-around, marks, and that no pass leaves its state behind."""
+"""Counting in the stencil: increments and decrements, wrap-around, marks, and no state left behind by a pass."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ FRAGMENT = "#version 430\nvoid main() {}\n"
 SIZE = 8
 
 TOWARDS, AWAY = 1, -1
-"""Faces that face the eye go round clockwise on the screen, whose rows go down; the others counter-clockwise."""
+"""Front faces wind clockwise on the screen, whose rows run downwards; back faces wind counter-clockwise."""
 
 
 def square(depth: float, way: int = TOWARDS, left: float = -1.0, right: float = 1.0) -> np.ndarray:
-    """Two triangles (6, 3) over all rows from ``left`` to ``right``; depth from 0, infinitely far away, to 1."""
+    """Return two triangles (6, 3) over all rows from ``left`` to ``right``; depth is 0 infinitely far away and at most 1."""
     corners = np.array([[left, -1, depth], [left, 1, depth], [right, 1, depth], [right, -1, depth]])
     order = [0, 1, 2, 0, 2, 3] if way == TOWARDS else [0, 2, 1, 0, 3, 2]
     return corners[order]
@@ -31,7 +31,7 @@ def draw(gl, squares: Iterable[np.ndarray]) -> None:
 
 @pytest.fixture
 def target(gl):
-    """A stencil over a surface at depth 0.5."""
+    """Return a stencil target over a surface at depth 0.5."""
     target = gl.stencil.target(SIZE, SIZE)
     with gl.stencil.depth_pass(target):
         draw(gl, [square(0.5)])
@@ -39,7 +39,7 @@ def target(gl):
 
 
 def counts(gl, target, counting: str, squares: list[np.ndarray], **how) -> int:
-    """What counting squares over the whole picture leaves in every pixel."""
+    """Return the count that squares over the whole picture leave in every pixel."""
     with gl.stencil.count_pass(target, counting, **how):
         draw(gl, squares)
     found = np.unique(gl.stencil.read(target))
@@ -56,25 +56,25 @@ def counts(gl, target, counting: str, squares: list[np.ndarray], **how) -> int:
         ("seen", 0.6, TOWARDS, 255), ("seen", 0.4, TOWARDS, 0),
     ],
 )  # fmt: skip
-def test_faces_add_and_take(gl, target, counting, depth, way, left):
+def test_faces_increment_and_decrement(gl, target, counting, depth, way, left):
     assert counts(gl, target, counting, [square(depth, way)]) == left
 
 
 @pytest.mark.parametrize(("counting", "way", "left"), [("z_pass", TOWARDS, 0), ("z_fail", AWAY, 1), ("z_fail", TOWARDS, 255)])
 def test_a_face_in_the_surface_lies_behind_it(gl, target, counting, way, left):
-    """The very same triangles: a near cap and the surface that it lies on."""
+    """The triangles are identical: a near cap and the surface that it lies on."""
     assert counts(gl, target, counting, [square(0.5, way)]) == left
 
 
 @pytest.mark.parametrize(("side", "left"), [("both", 1), ("front", 3), ("back", 254)])
-def test_sides_are_drawn_apart(gl, target, side, left):
+def test_front_and_back_sides_are_counted_separately(gl, target, side, left):
     faces = [square(0.6, TOWARDS)] * 3 + [square(0.7, AWAY)] * 2
     assert counts(gl, target, "z_pass", faces, side=side) == left
 
 
 @pytest.mark.parametrize("number", [127, 128, 255, 256, 257, 600])
-def test_counts_go_round(gl, target, number):
-    """Of 256 without marks, and what is taken comes back; ``faces`` stays at 255."""
+def test_counts_wrap_around(gl, target, number):
+    """Without marks, counts wrap at 256, and decrements undo increments. ``faces`` saturates at 255."""
     faces = [square(0.6)] * number
     assert counts(gl, target, "z_pass", faces) == number % 256
     assert counts(gl, target, "z_pass", [square(0.6, AWAY)] * number) == 0
@@ -82,8 +82,8 @@ def test_counts_go_round(gl, target, number):
 
 
 @pytest.mark.parametrize("number", [1, 127, 128, 129, 300])
-def test_only_what_is_marked_counts(gl, target, number):
-    """Round 128, up and down, the mark untouched; and clearing the count leaves it, too."""
+def test_only_marked_pixels_count(gl, target, number):
+    """Counts wrap at 128 in both directions. Neither counts nor clearing them change the mark."""
     with gl.stencil.mark_pass(target):
         draw(gl, [square(0.0, right=0.0)])
     left = np.arange(SIZE) < SIZE // 2
@@ -99,14 +99,14 @@ def test_only_what_is_marked_counts(gl, target, number):
 
 
 def test_each_pixel_counts_once(gl, target):
-    """What holds the number asked for holds one more, whatever the depth and however often it is drawn."""
+    """A pixel that holds the requested count is incremented once, whatever the depth and however often it is drawn."""
     for held, left in ((1, 0), (0, 1), (0, 1), (1, 2)):
         with gl.stencil.once_pass(target, held):
             draw(gl, [square(0.1), square(0.9, AWAY), square(0.1)])
         assert (gl.stencil.read(target) == left).all()
 
 
-def test_the_nearest_depth_wins_or_the_last(gl, target):
+def test_depth_pass_keeps_the_nearest_or_the_last_depth(gl, target):
     with gl.stencil.depth_pass(target):
         draw(gl, [square(0.8), square(0.7)])
     assert counts(gl, target, "z_pass", [square(0.75)]) == 0
@@ -114,11 +114,11 @@ def test_the_nearest_depth_wins_or_the_last(gl, target):
         draw(gl, [square(0.7)])
     assert counts(gl, target, "z_pass", [square(0.75)]) == 1
     with gl.stencil.count_pass(target, "z_pass"):
-        draw(gl, [square(0.9)])  # leaves no depth behind
+        draw(gl, [square(0.9)])  # writes no depth
     assert counts(gl, target, "z_pass", [square(0.75)]) == 3
 
 
-def test_row_0_is_the_first(gl, target):
+def test_row_0_is_the_first_row_read(gl, target):
     with gl.stencil.mark_pass(target):
         draw(gl, [np.array([[-1, -1, 0], [1, -1, 0], [1, -0.75, 0], [-1, -1, 0], [1, -0.75, 0], [-1, -0.75, 0]])])
     found = gl.stencil.read(target)
@@ -126,8 +126,8 @@ def test_row_0_is_the_first(gl, target):
 
 
 @pytest.mark.parametrize("size", [(8, 8), (5, 3), (16, 4)])
-def test_a_target_begins_empty(gl, size):
-    """Of whatever size, and when it is asked for again: nothing counted, nothing before infinity."""
+def test_a_target_starts_empty(gl, size):
+    """Targets of any size, also reused ones, hold no counts and no depth before infinity."""
     for _ in range(2):
         target = gl.stencil.target(*size)
         assert gl.stencil.read(target).shape == size[::-1] and not gl.stencil.read(target).any()
@@ -137,7 +137,11 @@ def test_a_target_begins_empty(gl, size):
 
 
 def ordinary(gl) -> list[np.ndarray]:
-    """Depths of a shadow map's target: usual clip space, nearest wins, nothing culled, no offset, clamped before the near plane."""
+    """Return depths of shadow map targets that are drawn with the usual state.
+
+    Clip space is the usual one, the nearest depth wins, nothing is culled or offset, and depths before the near plane are
+    clamped.
+    """
     out = []
     for squares in ([square(0.25), square(-0.5, AWAY)], [square(0.1, AWAY), square(0.3, left=0.0)], [square(-3.0)]):
         target = gl.depth_target(SIZE, SIZE, 32)
@@ -156,7 +160,7 @@ PASSES = [
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_no_pass_leaves_its_state_behind(gl, fails):
-    """Not even one that fails: what is drawn next is what it was before."""
+    """The next drawing is what it was before, even after a pass that fails."""
     before = ordinary(gl)
     assert (before[0] == np.float32(0.25)).all() and (before[2] == 0.0).all() and np.ptp(before[1]) == 0.0
     for name, how in PASSES:

@@ -1,4 +1,4 @@
-"""Collars that a file does not declare: noticed where there is one, and not where there is a shore."""
+"""Collar detection: find fill values around the data that the file does not declare as nodata, and ignore shores."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skugga.terrain.ground.elevation import Elevation
 from tests.rasters import write_geotiff
 
 WITH_A_COLLAR = ("lisbon_1arcsec_4326.tif",)
-"""Real rasters in which zeros surround the data."""
+"""Real rasters with a collar of zeros around the data."""
 
 
 def hills(rows: int, cols: int, low_m: float = 300.0, high_m: float = 900.0) -> np.ndarray:
@@ -33,7 +33,7 @@ def found(path: Path, heights: np.ndarray, **options) -> Collar | None:
 
 @pytest.mark.parametrize("value", [0.0, -9999.0, 9000.0])
 @pytest.mark.parametrize("size", [200, 1500])
-def test_what_warping_leaves_behind_is_noticed(tmp_path, value, size):
+def test_collar_left_by_warping_is_detected(tmp_path, value, size):
     collar = found(tmp_path, rotate(hills(size, size), 15.0, order=0, cval=value))
     assert collar is not None and collar.value == value and collar.border_share > 0.9
     assert collar.cliff_m == pytest.approx(abs(value - 600.0), abs=120.0)
@@ -41,7 +41,7 @@ def test_what_warping_leaves_behind_is_noticed(tmp_path, value, size):
 
 
 @pytest.mark.parametrize("side", [np.s_[:3], np.s_[-2:], np.s_[:, :4], np.s_[:, -1:]])
-def test_a_thin_one_on_a_side_of_a_large_raster_is_noticed(tmp_path, side):
+def test_thin_collar_on_one_side_of_a_large_raster_is_detected(tmp_path, side):
     heights = hills(1400, 1300)
     assert found(tmp_path, heights) is None
     heights[side] = 0.0
@@ -49,8 +49,8 @@ def test_a_thin_one_on_a_side_of_a_large_raster_is_noticed(tmp_path, side):
     assert collar is not None and collar.value == 0.0
 
 
-def test_scaled_cells_are_compared_in_metres(tmp_path):
-    """Counts of half a centimetre: a cliff of 600 counts is 3 m, and of 60,000 counts 300 m."""
+def test_collar_of_scaled_cells_is_measured_in_metres(tmp_path):
+    """One count is half a centimetre: a cliff of 600 counts is 3 m, and one of 60,000 counts is 300 m."""
     for metres, has_collar in ((1.0, False), (100.0, True)):
         counts = np.rint(rotate(hills(200, 200, 3.0 * metres, 6.0 * metres) / 0.005, 15.0, order=0, cval=0.0)).astype(np.int32)
         path = write_geotiff(tmp_path / "counts.tif", counts, "EPSG:32633", 500e3, 5200e3, 30.0)
@@ -59,7 +59,7 @@ def test_scaled_cells_are_compared_in_metres(tmp_path):
         assert (detect_collar(Elevation(str(path))) is not None) is has_collar
 
 
-def test_depths_have_collars_as_heights_have(tmp_path):
+def test_collar_of_depths_is_detected(tmp_path):
     depths = rotate(hills(200, 200), 15.0, order=0, cval=0.0)
     path = write_geotiff(tmp_path / "depths.tif", depths, "EPSG:32633", 500e3, 5200e3, 30.0)
     collar = detect_collar(Elevation(str(path), positive="down"))
@@ -67,14 +67,14 @@ def test_depths_have_collars_as_heights_have(tmp_path):
 
 
 @pytest.mark.parametrize("level_m", [350.0, 500.0, 700.0])
-def test_a_sea_or_lake_is_none(tmp_path, level_m):
+def test_sea_or_lake_is_no_collar(tmp_path, level_m):
     for rows in (300, 1400):
         heights = hills(rows, rows)
         assert found(tmp_path, np.maximum(heights, level_m)) is None
 
 
-def test_a_river_between_quays_is_none(tmp_path):
-    """Walls of 12 m along flat water, in a town on hills."""
+def test_river_between_quays_is_no_collar(tmp_path):
+    """The quays are walls of 12 m along flat water, in a town on hills."""
     heights = hills(300, 300, 40.0, 160.0)
     col = np.arange(300)
     heights[:, np.abs(col - 150) < 40] = 32.0
@@ -82,7 +82,7 @@ def test_a_river_between_quays_is_none(tmp_path):
     assert found(tmp_path, heights) is None
 
 
-def test_things_on_a_plain_are_none(tmp_path):
+def test_objects_on_a_plain_are_no_collar(tmp_path):
     heights = np.zeros((200, 200), np.float32)
     heights[80:120, 60:110] = 40.0
     assert found(tmp_path, heights) is None
@@ -90,12 +90,12 @@ def test_things_on_a_plain_are_none(tmp_path):
     assert found(tmp_path, heights) is None
 
 
-def test_a_declared_one_is_none(tmp_path):
+def test_declared_nodata_is_no_collar(tmp_path):
     assert found(tmp_path, rotate(hills(200, 200), 15.0, order=0, cval=0.0), nodata=0.0) is None
 
 
-def test_real_rasters(shared_data):
-    """None is suspected wrongly; where there is sea in place of holes neither."""
+def test_real_rasters_have_only_the_known_collars(shared_data):
+    """No false positives, also where sea level replaces the missing cells."""
     seen = 0
     for path in sorted(shared_data.rglob("*.tif")):
         if path.name == "CHM_empty.tif":
@@ -107,7 +107,7 @@ def test_real_rasters(shared_data):
     assert seen > 20
 
 
-def test_real_coasts(shared_data, tmp_path):
+def test_real_coasts_are_no_collar(shared_data, tmp_path):
     for name, lowest in (("odd/nz_elev_1km_oceanholes.tif", 0.0), ("odd/etopo1_1deg_global.tif", 0.0),
                          ("urban/sanfrancisco_elev_3857.tif", 0.5), ("mountain/grenoble_copernicus_4326.tif", 300.0)):  # fmt: skip
         with rasterio.open(shared_data / name) as dataset:
@@ -119,7 +119,7 @@ def test_real_coasts(shared_data, tmp_path):
         assert detect_collar(Elevation(str(path))) is None, name
 
 
-def test_real_ground_with_a_collar(shared_data, tmp_path):
+def test_real_rasters_with_an_added_collar_are_detected(shared_data, tmp_path):
     for name in ("mountain/bigtujunga_30m_utm11.tif", "odd/texas_flat_3arcsec_4326.tif", "urban/goteborg_1m/DSM.tif",
                  "urban/bilbao/DEM.tif", "urban/essen_dom1_32_356_5699_1_nw_2020.tif"):  # fmt: skip
         with rasterio.open(shared_data / name) as dataset:

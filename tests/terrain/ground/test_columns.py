@@ -1,4 +1,4 @@
-"""Columns: cells with flat tops and upright walls, whatever map shows them."""
+"""Column surfaces: cells with flat tops and vertical walls, in maps of any CRS."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UTM = "EPSG:32632"
 def scene_of(
     folder: Path, heights: np.ndarray, crs: str, cell: Any, x0: float = 0.0, y0: float | None = None, **keys: Any
 ) -> Scene:
-    """The scene of a raster as columns; its south-west corner is (0, 0) if nothing else is said."""
+    """Return the scene of a raster as columns, with the south-west corner at (0, 0) by default."""
     options = {"transform": keys.pop("transform")} if "transform" in keys else {}
     north = len(heights) * (cell[1] if isinstance(cell, tuple) else cell) if y0 is None else y0
     source = write_geotiff(folder / "dsm.tif", heights.astype(np.float32), crs, x0, north, cell, **options)
@@ -33,7 +33,7 @@ def scene_of(
     return build_scene(load_level(folder / "level.yaml"))
 
 
-def test_a_sheet_has_a_top_for_each_cell_and_walls_between_those_that_differ(tmp_path: Path):
+def test_sheet_has_a_top_per_cell_and_walls_at_height_steps(tmp_path: Path):
     scene = scene_of(tmp_path, np.array([[1.0, 1.0, 5.0], [2.0, 1.0, np.nan]]), ENGINEERING, 2.0)
     columns = Columns(scene.world, scene.elevation, 0)
     sheet = columns.window(0, 0, 2, 3, scene.world.frame_near_earth(np.zeros(3))).sheet
@@ -50,7 +50,7 @@ def test_a_sheet_has_a_top_for_each_cell_and_walls_between_those_that_differ(tmp
     assert area[~tops].sum() == pytest.approx(2.0 * steps) and np.isfinite(filled)
 
 
-def test_the_cells_are_those_of_the_raster_whatever_their_sides_and_the_detail(tmp_path: Path):
+def test_cell_grid_follows_cell_sides_and_level_of_detail(tmp_path: Path):
     heights = np.arange(48.0).reshape(6, 8)
     scene = scene_of(tmp_path, heights, UTM, (3.0, 2.0), 500000.0, 5000000.0)
     fine, coarse = (Columns(scene.world, scene.elevation, level) for level in (0, 1))
@@ -62,7 +62,7 @@ def test_the_cells_are_those_of_the_raster_whatever_their_sides_and_the_detail(t
 
 
 @pytest.mark.parametrize("crs", ["EPSG:3857", "EPSG:32633"])
-def test_a_pixel_of_another_crs_shows_the_middle_of_the_column_that_it_lies_in(tmp_path: Path, crs: str):
+def test_pixel_of_another_crs_shows_the_centre_of_its_column(tmp_path: Path, crs: str):
     heights = np.random.default_rng(1).uniform(0.0, 30.0, (40, 40))
     scene = scene_of(tmp_path, heights, UTM, 10.0, 500000.0, 5000000.0)
     buffer = geometry_buffer(scene, scene.view(crs=crs, size=(150, 150)))
@@ -76,9 +76,9 @@ def test_a_pixel_of_another_crs_shows_the_middle_of_the_column_that_it_lies_in(t
     np.testing.assert_array_equal(buffer.normal_frame, buffer.shading_normal_frame)
 
 
-def test_on_a_border_the_higher_cell_counts(tmp_path: Path):
+def test_higher_cell_wins_on_a_border(tmp_path: Path):
     scene = scene_of(tmp_path, np.array([[1.0, 9.0, 3.0], [1.0, 2.0, 3.0]]), ENGINEERING, 1.0)
-    view = scene.view(bounds=(0.5, 0.0, 2.5, 2.0), size=(2, 1))  # two pixels of one by two: their middles lie on corners
+    view = scene.view(bounds=(0.5, 0.0, 2.5, 2.0), size=(2, 1))  # two pixels of 1 m by 2 m, with their centres on corners
     assert geometry_buffer(scene, view).height_m.tolist() == [[9.0, 9.0]]
 
 
@@ -93,21 +93,21 @@ def test_on_a_border_the_higher_cell_counts(tmp_path: Path):
         ),
     ],
 )
-def test_what_cannot_be_is_refused_by_its_key(tmp_path: Path, text: str, allowed: str):
+def test_invalid_surface_names_its_key(tmp_path: Path, text: str, allowed: str):
     (tmp_path / "level.yaml").write_text("version: 1\n" + text, encoding="utf-8")
     with pytest.raises(LevelError, match="terrain.surface") as caught:
         load_level(tmp_path / "level.yaml")
     assert allowed in str(caught.value)
 
 
-def test_a_turned_raster_is_refused(tmp_path: Path):
+def test_rotated_raster_is_rejected(tmp_path: Path):
     from affine import Affine
 
     with pytest.raises(LevelError, match=r"terrain\.surface.*blocks.*smooth"):
         scene_of(tmp_path, np.ones((4, 4)), UTM, 1.0, transform=Affine(1.0, 0.5, 500000.0, 0.5, -1.0, 5000000.0))
 
 
-def test_what_stands_on_columns_stands_on_their_tops(tmp_path: Path):
+def test_meshes_stand_on_column_tops(tmp_path: Path):
     heights = np.zeros((20, 20))
     heights[:, 10:] = 12.0
     scene = scene_of(

@@ -1,4 +1,4 @@
-"""Decimated grids: conforming, exact in outline, bounded in error, and known in closed form where they can be."""
+"""Decimated grids: conforming, with an exact outline and a bounded error. Simple surfaces have closed-form results."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SPACING_M = 30.0
 
 
 def fractal(rows: int, cols: int, seed: int = 0, relief_m: float = 800.0) -> np.ndarray:
-    """Heights of a random surface whose spectrum falls as terrain's does."""
+    """Return heights of a random surface with a power spectrum like that of terrain."""
     n = max(rows, cols)
     frequency = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n))
     frequency[0, 0] = np.inf
@@ -28,9 +28,10 @@ def fractal(rows: int, cols: int, seed: int = 0, relief_m: float = 800.0) -> np.
 
 
 def half_cells(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All half cells (n, 3, 2) in row and column, counter-clockwise from above, and which have three present corners.
+    """Return all half cells (n, 3, 2) as rows and columns, counter-clockwise from above, and which of them have three valid
+    corners.
 
-    The diagonals meet in the nodes whose row and column are even.
+    The diagonals meet at the nodes with an even row and column.
     """
     row, col = (v.ravel() for v in np.mgrid[: height.shape[0] - 1, : height.shape[1] - 1])
     northwest, northeast, southwest, southeast = (np.stack([row + i, col + j], -1) for i in (0, 1) for j in (0, 1))
@@ -42,17 +43,20 @@ def half_cells(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cross(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Twice the area of triangles of (row, col), positive if counter-clockwise from above: east = col, north = -row."""
+    """Return twice the area of triangles of (row, col), positive if counter-clockwise from above (east = col, north = -row)."""
     return (b[..., 1] - a[..., 1]) * (a[..., 0] - c[..., 0]) - (c[..., 1] - a[..., 1]) * (a[..., 0] - b[..., 0])
 
 
 def edges(corners: np.ndarray) -> np.ndarray:
-    """Directed edges (3 m, 2, 2) of triangles (m, 3, 2)."""
+    """Return the directed edges (3 m, 2, 2) of triangles (m, 3, 2)."""
     return np.stack([corners, np.roll(corners, -1, axis=1)], 2).reshape(-1, 2, 2)
 
 
 def outline(corners: np.ndarray) -> np.ndarray:
-    """Edges (n, 4) that no other triangle has in the opposite direction, cut at every node of the grid they pass; sorted."""
+    """Return the sorted boundary edges (n, 4), split at every grid node.
+
+    A boundary edge is a directed edge that no other triangle has in the opposite direction.
+    """
     directed = edges(corners).reshape(-1, 4)
     place = np.array([2**48, 2**32, 2**16, 1])
     alone = directed[~np.isin(directed @ place, directed[:, [2, 3, 0, 1]] @ place)]
@@ -63,7 +67,10 @@ def outline(corners: np.ndarray) -> np.ndarray:
 
 
 def assert_conforming(height: np.ndarray, mesh: DecimatedMesh) -> None:
-    """Counter-clockwise, no edge twice in a direction, and unpaired edges only where the full grid has them: no T-junction."""
+    """Assert a conforming mesh without T-junctions.
+
+    Triangles are counter-clockwise, each directed edge occurs once, and unpaired edges occur only where the full grid has them.
+    """
     corners = mesh.nodes[mesh.triangles].astype(np.int64)
     whole, present = half_cells(height)
     area = cross(*np.moveaxis(corners, 1, 0))
@@ -77,7 +84,7 @@ def assert_conforming(height: np.ndarray, mesh: DecimatedMesh) -> None:
 
 
 def times_covered(height: np.ndarray, mesh: DecimatedMesh) -> np.ndarray:
-    """How many triangles hold the middle of each half cell; exact, in thirds of cells."""
+    """Return how many triangles cover the centre of each half cell (exact, in thirds of cells)."""
     middle = half_cells(height)[0].sum(axis=1)
     a, b, c = np.moveaxis(3 * mesh.nodes[mesh.triangles].astype(np.int64), 1, 0)[:, None]
     m = middle[:, None]
@@ -85,7 +92,7 @@ def times_covered(height: np.ndarray, mesh: DecimatedMesh) -> np.ndarray:
 
 
 def deviation_m(height: np.ndarray, mesh: DecimatedMesh) -> np.ndarray:
-    """How far the decimated surface lies from each node (rows, cols); NaN where there is none."""
+    """Return the distance of the decimated surface from each node (rows, cols), NaN without a surface."""
     out = np.full(height.shape, np.nan)
     for corners in mesh.nodes[mesh.triangles].astype(np.int64):
         (r0, c0), (r1, c1) = corners.min(axis=0), corners.max(axis=0)
@@ -99,10 +106,10 @@ def deviation_m(height: np.ndarray, mesh: DecimatedMesh) -> np.ndarray:
 
 
 def hypotenuse(row: int, col: int) -> tuple[tuple[int, int], tuple[int, int]]:
-    """The ends of the hypotenuse that a node bisects, from the lowest bits of its row and column."""
+    """Return the ends of the hypotenuse that a node bisects, from the lowest set bits of its row and column."""
     step = (row | col) & -(row | col)
     if row & step and col & step:
-        # The diagonal ends in the centre of the square twice as large: where both are odd multiples of twice the step.
+        # The diagonal ends in the centre of the square of twice the size, where both indices are odd multiples of twice the step.
         down, right = (step if v & 2 * step == 0 else -step for v in (row, col))
     else:
         down, right = (step, 0) if row & step else (0, step)
@@ -117,7 +124,7 @@ def distance_m(height: np.ndarray, eye: tuple[float, float, float], near_m: floa
 
 @st.composite
 def surfaces(draw) -> np.ndarray:
-    """Heights in quarter metres on grids of any shape, with holes of every share."""
+    """Draw heights in quarter metres on grids of any shape, with any share of holes."""
     rows, cols = draw(st.integers(1, 19)), draw(st.integers(1, 19))
     rng = np.random.default_rng(draw(st.integers(0, 10**6)))
     slope = np.add.outer(np.arange(rows), np.arange(cols))
@@ -136,7 +143,7 @@ tolerances = st.one_of(st.just(0.0), st.floats(1e-4, 0.3))
 
 @settings(max_examples=200, deadline=None)
 @given(surfaces(), eyes, tolerances, st.sampled_from([ALL, 40, 8]), st.booleans())
-def test_conforming_and_exact_in_outline(height, eye, tolerance, max_triangles, sagitta):
+def test_decimate_is_conforming_with_an_exact_outline(height, eye, tolerance, max_triangles, sagitta):
     mesh = decimate(node_errors(height, SPACING_M, sagitta), eye, tolerance, max_triangles)
     assert_conforming(height, mesh)
     if height.size > 1:
@@ -145,19 +152,19 @@ def test_conforming_and_exact_in_outline(height, eye, tolerance, max_triangles, 
 
 @settings(max_examples=100, deadline=None)
 @given(surfaces(), eyes)
-def test_zero_tolerance_keeps_every_node_with_an_error_and_loses_nothing(height, eye):
+def test_zero_tolerance_keeps_every_node_with_an_error(height, eye):
     errors = node_errors(height, SPACING_M, False)
     mesh = decimate(errors, eye, 0.0, ALL)
     kept = np.zeros(height.shape, bool)
     kept[tuple(mesh.nodes.T)] = True
     assert kept[(errors.error_m > 0) & np.isfinite(errors.error_m)].all()
-    # Heights are in quarter metres and corners 16 cells apart at most: the planes between them are exact.
+    # Heights are in quarter metres and corners at most 16 cells apart, so the planes between them are exact.
     assert np.nanmax(deviation_m(height, mesh), initial=0.0) == 0.0
 
 
 @settings(max_examples=100, deadline=None)
 @given(surfaces(), eyes, tolerances)
-def test_the_deviation_is_at_most_what_the_errors_left_out_add_up_to(height, eye, tolerance):
+def test_deviation_is_bounded_by_the_sum_of_omitted_errors(height, eye, tolerance):
     errors = node_errors(height, SPACING_M, False)
     mesh = decimate(errors, eye, tolerance, ALL)
     assert mesh.tolerance == tolerance
@@ -166,7 +173,7 @@ def test_the_deviation_is_at_most_what_the_errors_left_out_add_up_to(height, eye
     bound = {}
 
     def bound_m(node: tuple[int, int]) -> float:
-        """A node left out lies off the middle of two ends by its error, and these are off by what they are."""
+        """Return 0 for a kept node, else its tolerated error plus the mean bound of the ends of its hypotenuse."""
         if node not in bound:
             left_out = node not in used and np.isfinite(deviation[node])
             bound[node] = share[node] + sum(bound_m(end) for end in hypotenuse(*node)) / 2 if left_out else 0.0
@@ -178,7 +185,7 @@ def test_the_deviation_is_at_most_what_the_errors_left_out_add_up_to(height, eye
 
 @pytest.mark.parametrize("eye", [(0.0, 0.0, 300.0), (64.5, 48.2, 900.0), (200.0, -80.0, 3000.0)])
 @pytest.mark.parametrize("tolerance", [0.003, 0.02])
-def test_on_terrain_the_deviation_stays_below_twice_the_tolerance(eye, tolerance):
+def test_deviation_on_terrain_is_below_twice_the_tolerance(eye, tolerance):
     height = fractal(129, 100, seed=3)
     errors = node_errors(height, SPACING_M, False)
     mesh = decimate(errors, eye, tolerance, ALL)
@@ -187,17 +194,17 @@ def test_on_terrain_the_deviation_stays_below_twice_the_tolerance(eye, tolerance
     assert ratio.max() <= 2.0 * tolerance
 
 
-def test_a_far_node_that_bends_the_ground_at_the_eye_is_kept():
+def test_far_node_that_bends_the_ground_at_the_eye_is_kept():
     row, col = np.mgrid[:65, :65]
     pyramid = np.float32(1.0) - np.maximum(abs(row - 32), abs(col - 32)).astype(np.float32) / 32
     errors = node_errors(pyramid, SPACING_M, False)
     assert np.argwhere(errors.error_m > 0).tolist() == [[32, 32]]
-    tolerance = 2.0 / (30 * SPACING_M)  # the top is 1 m high: from the rim, it is below the tolerance
+    tolerance = 2.0 / (30 * SPACING_M)  # the peak is 1 m high, so its error seen from the rim is below the tolerance
     assert len(decimate(errors, (2.0, 32.0, 100.0), tolerance, ALL).triangles) == 2
     assert len(decimate(errors, (16.0, 32.0, 100.0), tolerance, ALL).triangles) == 4
 
 
-def test_nothing_is_nearer_than_near_m():
+def test_near_m_is_the_minimum_distance():
     height = np.zeros((3, 3), np.float32)
     height[1, 1] = 1.0
     errors = node_errors(height, SPACING_M, False)
@@ -205,33 +212,33 @@ def test_nothing_is_nearer_than_near_m():
     assert len(decimate(errors, (1.0, 1.0, 1.0), 0.11, ALL, near_m=10.0).triangles) == 2
 
 
-def test_errors_of_single_nodes():
+def test_node_errors_of_single_peaks():
     height = np.zeros((5, 5), np.float32)
     height[2, 2], height[1, 2] = 4.0, 1.0
     error = node_errors(height, SPACING_M, False).error_m
     expected = np.zeros((5, 5))
-    expected[2, 2] = 4.0  # the diagonal of the whole
+    expected[2, 2] = 4.0  # the diagonal of the whole grid
     expected[1, 1] = expected[1, 3] = expected[3, 1] = expected[3, 3] = 2.0  # diagonals from (2, 2) to the corners
     expected[1, 2] = 1.0 - 2.0  # from (0, 2) to (2, 2)
     expected[2, 1] = expected[2, 3] = expected[3, 2] = 2.0
     np.testing.assert_array_equal(error, abs(expected))
 
 
-def test_the_sagitta_of_the_earth_is_added():
+def test_node_errors_include_the_sagitta_of_the_earth():
     error = node_errors(np.zeros((129, 129)), 90.0, True).error_m
     for node, cells in {(64, 64): 128 * np.sqrt(2), (0, 64): 128, (32, 32): 64 * np.sqrt(2), (1, 0): 2}.items():
         assert error[node] == pytest.approx((cells * 90.0) ** 2 / (8 * EARTH_RADIUS_M), rel=1e-6)
 
 
 @pytest.mark.parametrize(("rows", "cols", "triangles"), [(65, 65, 2), (129, 65, 3), (65, 129, 3), (2, 2, 2), (9, 25, 5)])
-def test_a_plane_needs_a_handful_of_triangles(rows, cols, triangles):
+def test_plane_needs_a_handful_of_triangles(rows, cols, triangles):
     height = np.add.outer(-0.25 * np.arange(rows), 0.5 * np.arange(cols))
     mesh = decimate(node_errors(height, SPACING_M, False), (10.0, 10.0, 1000.0), 0.0, ALL)
     assert_conforming(height, mesh)
     assert len(mesh.triangles) == triangles
 
 
-def test_a_hole_in_a_plane_keeps_its_corners_and_not_the_nodes_along_its_sides():
+def test_hole_in_a_plane_keeps_only_its_corners():
     height = np.zeros((65, 65), np.float32)
     height[17:32, 33:48] = np.nan
     mesh = decimate(node_errors(height, SPACING_M, False), (0.0, 0.0, 100.0), 0.1, ALL)
@@ -247,7 +254,7 @@ def mountains() -> NodeErrors:
 
 
 @pytest.mark.parametrize("max_triangles", [5_000, 10_000, 25_000])
-def test_max_triangles_takes_the_smallest_tolerance_that_serves(mountains, max_triangles):
+def test_max_triangles_selects_the_smallest_tolerance_that_fits(mountains, max_triangles):
     eye = (75.0, 100.0, 700.0)
     mesh = decimate(mountains, eye, 1e-5, max_triangles)
     assert 0.99 * max_triangles <= len(mesh.triangles) <= max_triangles
@@ -258,14 +265,14 @@ def test_max_triangles_takes_the_smallest_tolerance_that_serves(mountains, max_t
     assert len(decimate(mountains, eye, less, ALL).triangles) > max_triangles
 
 
-def test_the_outline_is_kept_even_beyond_max_triangles(mountains):
+def test_outline_is_kept_even_beyond_max_triangles(mountains):
     mesh, outline_alone = (decimate(mountains, (0.0, 0.0, 100.0), t, m) for t, m in ((0.001, 1), (1e9, ALL)))
     np.testing.assert_array_equal(mesh.triangles, outline_alone.triangles)
     assert_conforming(mountains.height_m, mesh)
     assert 0.001 < mesh.tolerance < 1e9
 
 
-def test_the_same_eye_gives_the_same_triangles_and_another_finer_ones_near_it(mountains):
+def test_triangles_are_reproducible_and_finer_near_the_eye(mountains):
     meshes = [decimate(mountains, eye, 0.01, 20_000) for eye in ((140.0, 5.0, 500.0), (140.0, 5.0, 500.0), (5.0, 205.0, 500.0))]
     np.testing.assert_array_equal(meshes[0].triangles, meshes[1].triangles)
     np.testing.assert_array_equal(meshes[0].nodes, meshes[1].nodes)
@@ -274,17 +281,17 @@ def test_the_same_eye_gives_the_same_triangles_and_another_finer_ones_near_it(mo
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (1, 9), (9, 1)])
-def test_a_grid_without_area_has_no_triangles(shape):
+def test_grid_without_area_has_no_triangles(shape):
     mesh = decimate(node_errors(np.ones(shape), SPACING_M, True), (0.0, 0.0, 5.0), 0.001, 10)
     assert mesh.nodes.shape == (0, 2) and mesh.triangles.shape == (0, 3)
 
 
-def test_holes_alone_have_no_triangles():
+def test_grid_of_holes_has_no_triangles():
     mesh = decimate(node_errors(np.full((20, 30), np.nan), SPACING_M, True), (3.0, 3.0, 5.0), 0.0, 10)
     assert mesh.nodes.shape == (0, 2) and mesh.triangles.shape == (0, 3)
 
 
-def test_a_strip_needs_no_square_of_memory():
+def test_strip_needs_no_square_memory():
     height = fractal(3, 2000)
     height = np.tile(height, (1, 100))
     mesh = decimate(node_errors(height, SPACING_M, False), (1.0, 1e5, 100.0), 0.01, ALL)
@@ -292,7 +299,7 @@ def test_a_strip_needs_no_square_of_memory():
     assert cross(*np.moveaxis(corners, 1, 0)).sum() == 2 * 2 * (height.shape[1] - 1)
 
 
-def test_a_raster_with_holes(shared_data):
+def test_raster_with_holes_is_conforming(shared_data):
     with rasterio.open(shared_data / "mountain" / "vinschgau_250m_utm32.tif") as dataset:
         height = dataset.read(1, masked=True).filled(np.nan)
     errors = node_errors(height, 250.0, True)
@@ -313,7 +320,7 @@ def test_a_raster_with_holes(shared_data):
         ({"height": np.zeros(5)}, "heights_m"),
     ],
 )
-def test_refused_arguments(change, named):
+def test_invalid_arguments_are_named(change, named):
     right = {"height": np.zeros((5, 5)), "spacing_m": 1.0, "eye": (0, 0, 1), "tolerance": 0.1, "max_triangles": 10, "near_m": 1.0}
     v = right | change
     with pytest.raises(InputError, match=named):
@@ -321,8 +328,8 @@ def test_refused_arguments(change, named):
 
 
 @pytest.mark.parametrize("eye", [(128.0, 128.0, 2.0), (100.3, 171.8, 2.0), (0.0, 0.0, 5.0), (31.999, 64.0, 30.0)])
-def test_triangles_under_the_eye_are_no_longer_than_float32_can_tell_apart(eye):
-    """Level ground of 256 km would be two triangles, whose corners lie 100 km off a pebble before the eye."""
+def test_triangles_near_the_eye_fit_float32_precision(eye):
+    """Level ground of 256 km would be two triangles, with corners 100 km from a pebble in front of the eye."""
     errors = node_errors(np.zeros((257, 257), np.float32), 1000.0, False)
     low, high = (decimate(errors, (*eye[:2], height), 0.001, ALL) for height in (eye[2], 60_000.0))
     assert len(high.triangles) == 2 and len(low.triangles) < 200

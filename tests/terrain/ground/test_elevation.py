@@ -1,4 +1,4 @@
-"""Heights from rasters: interpolation, units, holes, windows, and what is refused."""
+"""Heights from rasters: interpolation, units, holes, windows, and rejected input."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def heights_at(elevation: Elevation, row, col, level: int = 0):
     return elevation.heights_at(level, row, col)
 
 
-def test_bilinear_between_cell_centres_and_clamped_at_the_border(write_raster):
+def test_heights_are_bilinear_and_clamped_at_the_border(write_raster):
     values = np.array([[0, 10], [20, 50]], np.float32)
     elevation = Elevation(str(write_raster(values, UTM, 0, 20, 10)))
     height, valid = heights_at(elevation, [[0, 0.5, 1, -0.5, -0.6]], [[0, 0.5, 0.25, 1.5, 0]])
@@ -29,9 +29,9 @@ def test_bilinear_between_cell_centres_and_clamped_at_the_border(write_raster):
     assert np.isnan(height[0, 4]) and valid.tolist() == [[True, True, True, True, False]]
 
 
-def test_windows_agree_with_the_whole(write_raster):
+def test_windows_agree_with_the_whole_raster(write_raster):
     values = np.random.default_rng(0).normal(size=(150, 170)).astype(np.float32)
-    values[60:90, 50:120] = np.nan  # filled from its rim, the same in every window
+    values[60:90, 50:120] = np.nan  # filled from its rim, equal in every window
     elevation = Elevation(str(write_raster(values, UTM, 0, 1500, 10)))
     col, row = np.meshgrid(np.arange(0, 169, 0.7), np.arange(0, 149, 0.7))
     whole, _ = elevation.heights_at(0, row, col)
@@ -39,7 +39,7 @@ def test_windows_agree_with_the_whole(write_raster):
     np.testing.assert_array_equal(whole[80:140, 60:200], part)
 
 
-def test_zoomed_out_cells_are_means_counted_from_the_corner(write_raster):
+def test_coarse_cells_are_means_counted_from_the_corner(write_raster):
     values = np.arange(64 * 64, dtype=np.float32).reshape(64, 64)
     elevation = Elevation(str(write_raster(values, UTM, 0, 640, 10)))
     mean = values.reshape(16, 4, 16, 4).mean(axis=(1, 3))
@@ -52,7 +52,7 @@ def test_zoomed_out_cells_are_means_counted_from_the_corner(write_raster):
 
 
 @pytest.mark.parametrize("sentinel", [-9999.0, 3.4e38, -32768.0, np.nan, np.inf, -np.inf])
-def test_holes_are_no_surface_and_neither_walls_nor_pits(write_raster, sentinel):
+def test_holes_are_invalid_and_neither_walls_nor_pits(write_raster, sentinel):
     values = np.full((60, 60), 100.0, np.float32)
     values[20:40, 20:40] = sentinel
     tagged = sentinel == -9999.0
@@ -65,7 +65,7 @@ def test_holes_are_no_surface_and_neither_walls_nor_pits(write_raster, sentinel)
     np.testing.assert_allclose(coarse[np.isfinite(coarse)], 100.0)
 
 
-def test_far_inside_a_big_hole_there_is_nothing(write_raster):
+def test_centre_of_a_large_hole_is_not_filled(write_raster):
     values = np.full((30, 400), 7.0, np.float32)
     values[:, 50:350] = np.nan
     elevation = Elevation(str(write_raster(values, UTM, 0, 300, 10)))
@@ -74,7 +74,7 @@ def test_far_inside_a_big_hole_there_is_nothing(write_raster):
     assert np.isfinite(height[0, :52]).all() and not valid[0, 50:350].any()
 
 
-def test_a_hole_in_a_slope_is_filled_between_its_rims(write_raster):
+def test_hole_in_a_slope_is_filled_between_its_rims(write_raster):
     values = np.tile(np.arange(40, dtype=np.float32) * 10, (40, 1))
     values[15:25, 15:25] = np.nan
     elevation = Elevation(str(write_raster(values, UTM, 0, 400, 10)))
@@ -96,19 +96,19 @@ def test_units_and_exaggeration(write_raster, keys, factor):
     assert heights_at(elevation, 1, 1)[0][0, 0] == pytest.approx(1000 * factor)
 
 
-def test_the_raster_s_own_unit_is_taken(write_raster):
+def test_unit_of_the_raster_is_the_default(write_raster):
     path = write_raster(np.full((3, 3), 1000, np.int16), UTM, 0, 30, 10)
     with rasterio.open(path, "r+") as dataset:
         dataset.units = ("ft",)
     assert heights_at(Elevation(str(path)), 1, 1)[0][0, 0] == pytest.approx(304.8)
 
 
-def test_the_first_of_several_bands_is_taken(write_raster):
+def test_first_band_is_used(write_raster):
     bands = np.stack([np.full((4, 4), v, np.float32) for v in (5, 6, 7)])
     assert heights_at(Elevation(str(write_raster(bands, UTM, 0, 40, 10))), 1, 1)[0][0, 0] == 5
 
 
-def test_a_global_raster_has_no_border_at_its_seam(write_raster):
+def test_global_raster_has_no_border_at_its_seam(write_raster):
     values = np.broadcast_to(np.cos(np.radians(np.arange(-179.5, 180))) * 100, (180, 360)).astype(np.float32)
     elevation = Elevation(str(write_raster(values, "EPSG:4326", -180, 90, 1.0)))
     height, valid = heights_at(elevation, 90, np.array([-1.0, -0.5, 359.5, 360.0]))
@@ -117,8 +117,8 @@ def test_a_global_raster_has_no_border_at_its_seam(write_raster):
 
 
 @pytest.mark.parametrize("hole", [8, 40, 200])
-def test_a_hole_across_the_seam_of_a_global_raster_is_filled_as_anywhere_else(write_raster, hole):
-    """The same cells begin at another meridian: their hole lies across the seam in one file, in the middle of the other."""
+def test_hole_across_the_seam_of_a_global_raster_is_filled(write_raster, hole):
+    """The same cells start at another meridian: the hole lies across the seam in one file and in the middle of the other."""
     values = np.random.default_rng(4).normal(500, 200, (128, 256)).astype(np.float32)
     values[40:90, np.arange(-hole // 2, hole // 2)] = np.nan
     across = Elevation(str(write_raster(values, "EPSG:4326", -180, 90, 360 / 256, name="across.tif")))
@@ -133,7 +133,7 @@ def test_a_hole_across_the_seam_of_a_global_raster_is_filled_as_anywhere_else(wr
             assert np.isfinite(found[~valid]).any(), "some of the hole is filled"
 
 
-def test_a_global_raster_that_lacks_its_last_column_has_a_hole_there(write_raster):
+def test_global_raster_without_its_last_column_has_a_hole(write_raster):
     values = np.broadcast_to(np.arange(359, dtype=np.float32) * 10, (20, 359))
     elevation = Elevation(str(write_raster(values, "EPSG:4326", -180, 10, 1.0)))
     for first, last in ((0, 359), (350, 359), (355, 365), (-5, 5)):
@@ -146,8 +146,11 @@ def test_a_global_raster_that_lacks_its_last_column_has_a_hole_there(write_raste
 
 
 @pytest.mark.parametrize("level", range(7))
-def test_zoomed_out_a_global_raster_meets_itself_though_cells_are_left_over(write_raster, level):
-    """360 columns make 22.5 cells of 16: the heights are the same on either way round, and nowhere off by a cell's error."""
+def test_coarse_global_raster_is_periodic_with_a_partial_cell(write_raster, level):
+    """360 columns are 22.5 cells of 16.
+
+    Heights repeat every 360 degrees, and errors at the seam are at most 1.5 times those elsewhere.
+    """
     longitude = np.radians(np.arange(360.0))
     values = np.broadcast_to((1000 * np.cos(longitude) + 500 * np.sin(2 * longitude)).astype(np.float32), (180, 360))
     elevation = Elevation(str(write_raster(values, "EPSG:4326", 0, 90, 1.0)))
@@ -163,14 +166,14 @@ def test_zoomed_out_a_global_raster_meets_itself_though_cells_are_left_over(writ
     assert error_m[at_seam].max() <= max(1.5 * error_m[~at_seam].max(initial=0.0), 1e-3)
 
 
-def test_the_overview_knows_the_highest_cell(write_raster):
+def test_overview_contains_the_highest_cell(write_raster):
     values = np.zeros((1100, 1300), np.float32)
     values[777, 555] = 3000.0
     elevation = Elevation(str(write_raster(values, UTM, 0, 11000, 10)))
     assert elevation.overview.level == 2 and np.nanmax(elevation.overview.high_m) == 3000.0
 
 
-def test_heights_at_points_are_the_bilinear_ones_and_nan_off_the_surface(write_raster):
+def test_ground_m_is_bilinear_and_nan_off_the_surface(write_raster):
     values = np.tile(np.arange(40, dtype=np.float32) * 10, (40, 1))
     values[15:25, 15:25] = np.nan
     elevation = Elevation(str(write_raster(values, UTM, 1000, 400, 10)))
@@ -184,8 +187,8 @@ def test_heights_at_points_are_the_bilinear_ones_and_nan_off_the_surface(write_r
 
 
 @pytest.mark.parametrize("crs", [UTM, "EPSG:4326"])
-def test_heights_at_points_are_the_same_whatever_the_blocks(write_raster, monkeypatch, crs):
-    """In degrees the points go round the earth, the raster half as far."""
+def test_ground_m_does_not_depend_on_block_size(write_raster, monkeypatch, crs):
+    """In degrees, the points go around the whole earth and the raster covers half of it."""
     rng = np.random.default_rng(1)
     values = rng.normal(size=(90, 180)).astype(np.float32)
     values[30:50, 60:100] = np.nan
@@ -197,7 +200,7 @@ def test_heights_at_points_are_the_same_whatever_the_blocks(write_raster, monkey
     np.testing.assert_array_equal((elevation.ground_m(x, y), elevation.filled_ground_m(x, y)), whole)
 
 
-def test_two_points_far_apart_do_not_load_what_lies_between(write_raster, monkeypatch):
+def test_two_distant_points_do_not_load_the_cells_between(write_raster, monkeypatch):
     elevation = Elevation(str(write_raster(np.ones((3000, 3000), np.float32), UTM, 0, 30000, 10, tiled=True)))
     read = []
     inside = elevation._read_inside
@@ -220,7 +223,7 @@ def test_any_shape_can_be_read_at_any_level(tmp_path_factory, rows, cols, level)
     assert valid.all() and values.min() <= height[0, 0] <= values.max()
 
 
-def test_what_is_no_usable_raster_is_refused_by_name(tmp_path, write_raster):
+def test_unusable_rasters_are_rejected_with_their_name(tmp_path, write_raster):
     text = tmp_path / "broken.tif"
     text.write_text("this is no raster")
     no_crs = tmp_path / "no_crs.tif"
@@ -252,7 +255,7 @@ def test_what_is_no_usable_raster_is_refused_by_name(tmp_path, write_raster):
 
 
 @pytest.mark.parametrize("kept", [0.3, 0.9])
-def test_a_damaged_raster_fails_with_one_line(write_raster, kept):
+def test_damaged_raster_fails_with_one_line(write_raster, kept):
     values = np.random.default_rng(0).normal(size=(400, 400)).astype(np.float32)
     path = write_raster(values, UTM, 0, 4000, 10, compress="deflate", tiled=True, blockxsize=128, blockysize=128)
     data = path.read_bytes()
@@ -267,7 +270,7 @@ def test_engineering_crs_is_flat(write_raster):
 
 
 REAL = {
-    # file: share of cells with a surface, lowest and highest height in metres, as SOURCES.md or gdalinfo say
+    # file: share of valid cells, lowest and highest height in metres, from SOURCES.md or gdalinfo
     "mountain/bigtujunga_30m_utm11.tif": (1.0, 315, 2295),
     "mountain/zion_srtm_4326.tif": (1.0, 1000, 2900),
     "odd/vanderford_64m_epsg3031.tif": (0.07, -2340, -19),
@@ -285,25 +288,25 @@ def test_real_rasters_have_their_heights(shared_data, name):
     assert np.nanmax(overview.high_m) >= high * 0.9 - 10 if high > 0 else True
 
 
-def test_a_raster_that_reaches_the_pole_has_cells_of_some_size(write_raster):
+def test_raster_that_reaches_the_pole_has_a_positive_cell_size(write_raster):
     elevation = Elevation(str(write_raster(np.ones((4, 8), np.float32), "EPSG:4326", 10, 90, 0.015)))
     assert elevation.cell_size_m(1.0) > 10.0
 
 
 @pytest.mark.parametrize(("latitude", "share"), [(0.0, 1.0), (60.0, 0.5)])
-def test_cells_are_measured_on_the_ground(write_raster, latitude, share):
-    """Web Mercator stretches them by one over the cosine of the latitude."""
+def test_cell_size_is_measured_on_the_ground(write_raster, latitude, share):
+    """Web Mercator stretches cells by one over the cosine of the latitude."""
     north = 6378137.0 * np.arctanh(np.sin(np.radians(latitude)))
     elevation = Elevation(str(write_raster(np.ones((9, 9), np.float32), "EPSG:3857", 0.0, north + 135.0, 30.0)))
     assert elevation.cell_size_m(1.0) == pytest.approx(30.0 * share, rel=0.005)
 
 
-def test_a_geocentric_raster_is_refused(write_raster):
+def test_geocentric_raster_is_rejected(write_raster):
     with pytest.raises(SourceError, match="projected, geographic or engineering"):
         Elevation(str(write_raster(np.ones((4, 4), np.float32), "EPSG:4978", 0, 4, 1)))
 
 
-def test_resolution_is_the_finest_detail_drawn(write_raster, make_scene):
+def test_resolution_limits_the_level_of_detail(write_raster, make_scene):
     values = np.zeros((64, 64), np.float32)
     values[32, 32] = 100.0
     path = write_raster(values, UTM, 500_000, 5_000_640, 10)
@@ -317,8 +320,8 @@ def test_resolution_is_the_finest_detail_drawn(write_raster, make_scene):
 
 
 @pytest.mark.parametrize("nodata", [None, -9999.0])
-def test_a_sentinel_that_nothing_marks_is_averaged_into_no_height(write_raster, nodata):
-    """One cell of many, which no sample of the raster would find, beside holes that are marked or not."""
+def test_undeclared_sentinel_is_not_averaged_into_heights(write_raster, nodata):
+    """A single cell that no sample of the raster would find, next to declared or undeclared holes."""
     heights = np.full((1100, 1100), 100.0, np.float32)
     heights[333, 777] = -32768.0
     heights[5:9, 5:9] = -9999.0 if nodata else 100.0

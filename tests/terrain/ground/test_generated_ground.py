@@ -1,4 +1,4 @@
-"""Made ground: nodes where the level says, heights from 0 to the relief, the same for a seed, and drained as by rivers."""
+"""Generated ground: nodes at the requested places, heights from 0 to the relief, reproducible by seed, and drained by rivers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from skugga.terrain.ground.noise import fractal
 from skugga.terrain.level.parts import Terrain
 
 NOISE_DIGEST, RIDGES_DIGEST = "42dd4ab4a2276fcf", "ad3d9d1b926597a4"
-"""Of every bit: to be renewed where the ground is meant to change."""
+"""Digests of every bit. Renew them only for an intended change of the generated ground."""
 
 
 def ground(**terrain) -> tuple[np.ndarray, tuple[float, ...], CRS]:
@@ -28,7 +28,7 @@ def generated(kind: str, size=(2000, 2000), cell=20, relief=500, seed=1) -> np.n
     return ground(generate={"kind": kind, "size": size, "cell": cell, "relief": relief, "seed": seed})[0]
 
 
-def test_a_floor_has_its_nodes_at_cell_centres():
+def test_flat_ground_has_its_nodes_at_cell_centres():
     heights, transform, crs = ground(flat={"size": [200, 100], "cells": [100, 20]})
     assert heights.shape == (21, 101) and not heights.any()
     dx, _, west, _, dy, north = transform
@@ -38,7 +38,7 @@ def test_a_floor_has_its_nodes_at_cell_centres():
     assert crs.is_engineering and crs.axis_info[0].unit_conversion_factor == 1.0
 
 
-def test_an_elevation_opens_it():
+def test_elevation_opens_generated_ground():
     elevation = Elevation(
         "floor", raster_in_memory=generated_ground(Terrain.model_validate({"flat": {"size": [20, 20], "cells": [1, 1]}}))
     )
@@ -56,21 +56,21 @@ def test_heights_fill_the_relief_on_any_grid(kind, size, cell):
 
 
 @pytest.mark.parametrize("kind", ["ridges", "landscape"])
-def test_a_seed_is_one_ground_and_another_seed_another(kind):
+def test_seed_determines_the_ground(kind):
     first = generated(kind, seed=7)
     assert not np.array_equal(first, generated(kind, seed=8))
     _generate.cache.clear()
     np.testing.assert_array_equal(first, generated(kind, seed=7))
 
 
-def test_the_same_numbers_on_any_machine():
+def test_values_are_equal_on_any_machine():
     x = np.arange(64) / 7.0
     values = fractal(x, x, 4, 12345)
     assert hashlib.sha256(values.tobytes()).hexdigest()[:16] == NOISE_DIGEST
     assert hashlib.sha256(generated("ridges", seed=3).tobytes()).hexdigest()[:16] == RIDGES_DIGEST
 
 
-def test_noise_is_even_and_continuous():
+def test_noise_is_balanced_and_continuous():
     x = np.linspace(0, 40, 801)
     values = fractal(x, x, 1, 5)
     assert abs(values.mean()) < 0.03 and 0.15 < values.std() < 0.35 and np.abs(values).max() < 1
@@ -78,7 +78,7 @@ def test_noise_is_even_and_continuous():
     np.testing.assert_allclose(values[::20, ::20], 0, atol=1e-12)  # whole coordinates
 
 
-def test_everything_drains_downhill_to_the_rim_and_each_cell_once():
+def test_drainage_leads_downhill_to_the_rim_from_every_cell():
     height = fractal(np.linspace(0, 5, 60), np.linspace(0, 4, 50), 4, 2)
     order, receiver = drainage(height)
     assert sorted(order) == list(range(height.size))
@@ -93,8 +93,8 @@ def test_everything_drains_downhill_to_the_rim_and_each_cell_once():
     assert (np.maximum(np.abs(row[receiver] - row), np.abs(col[receiver] - col))[inner] == 1).all()
 
 
-def test_mountains_have_long_valleys_and_few_pits():
-    """Rivers have cut them: unlike noise they have hardly a hollow, and their water gathers in streams."""
+def test_ridges_have_long_valleys_and_few_pits():
+    """Rivers carve the ridges: unlike noise, they have almost no pits, and the drainage area concentrates in streams."""
     heights = generated("ridges", (4000, 4000), 20, 750, seed=3).astype(float)
     inner = heights[1:-1, 1:-1]
     around = np.stack([heights[1 + a : 200 + a, 1 + b : 200 + b] for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b])
@@ -111,7 +111,7 @@ def test_mountains_have_long_valleys_and_few_pits():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_landscape_has_a_level_lake_gentle_ground_and_peaks(seed):
+def test_landscape_has_a_lake_gentle_ground_and_peaks(seed):
     heights = generated("landscape", (7000, 7000), 100, 600, seed)
     assert heights.shape == (71, 71)  # 9,800 triangles
     lakes, _ = label(heights == 0.0)

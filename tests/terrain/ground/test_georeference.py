@@ -1,4 +1,4 @@
-"""Where rasters say that they lie: what cannot be is told, and what may be is taken."""
+"""Georeferencing of rasters: accept valid CRSs and extents, and reject impossible ones with an explanation."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def crs_at(folder, crs, place, **options):
         ("EPSG:32633", (500e3, 47.0, 0.01)), ("EPSG:2994", (0.0, 80.0, 0.5)),
     ],
 )  # fmt: skip
-def test_what_may_be_is_taken(tmp_path, crs, place):
+def test_valid_georeference_is_accepted(tmp_path, crs, place):
     assert crs_at(tmp_path, crs, place).is_geographic is (crs == "EPSG:4326")
 
 
@@ -51,7 +51,7 @@ def test_what_may_be_is_taken(tmp_path, crs, place):
         ("EPSG:4978", UTM, ("projected, geographic or engineering",)),
     ],
 )
-def test_what_cannot_be_is_told(tmp_path, crs, place, words):
+def test_invalid_georeference_is_rejected_with_details(tmp_path, crs, place, words):
     with pytest.raises(SourceError) as caught:
         crs_at(tmp_path, crs, place)
     message = str(caught.value)
@@ -60,7 +60,7 @@ def test_what_cannot_be_is_told(tmp_path, crs, place, words):
         assert word in message
 
 
-def test_cells_without_a_size_or_place(tmp_path):
+def test_cells_without_a_size_or_position_are_rejected(tmp_path):
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning), pytest.raises(SourceError, match="not georeferenced"):
         crs_at(tmp_path, "EPSG:32633", UTM, transform=Affine.identity())
     with pytest.raises(SourceError, match="cells of a size above 0"):
@@ -85,7 +85,7 @@ RPCS = rasterio.rpc.RPC(
 )
 @pytest.mark.parametrize("reader", [Elevation, Canopy, Imagery])
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-def test_points_or_polynomials_alone_are_to_be_warped(tmp_path, keys, words, reader):
+def test_gcps_or_rpcs_alone_need_warping(tmp_path, keys, words, reader):
     path = tmp_path / "scene.tif"
     with rasterio.open(path, "w", driver="GTiff", width=50, height=40, count=3, dtype="uint8", **keys) as dataset:
         dataset.write(np.ones((3, 40, 50), np.uint8))

@@ -1,4 +1,4 @@
-"""Paths over ground: at what height they run, on a round earth too, and which are refused."""
+"""Paths over ground: their height, also on a round earth, and rejected paths."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ UTM = "EPSG:32633"
 
 @pytest.fixture
 def ridge(write_raster) -> Path:
-    """1000 m a side, 10 m cells: a ridge of 100 m along the middle from south to north, level 50 m beside it."""
+    """Write a raster of 1000 m a side in 10 m cells.
+
+    A ridge of 100 m runs along the middle from south to north, on level ground at 50 m.
+    """
     x = np.linspace(-495, 495, 100)
     heights = np.tile(50.0 + np.maximum(100.0 - np.abs(x), 0.0), (100, 1)).astype(np.float32)
     return write_raster(heights, ENGINEERING, -500.0, 500.0, 10.0)
@@ -32,13 +35,13 @@ def path_in(scene: Scene, *keys: tuple, loop: bool = False, above: HeightReferen
     return path_over_ground(timed, loop, above, Geolocator(scene.world, scene.elevation), "level.yaml: path", "position")
 
 
-def test_it_follows_the_ground_or_keeps_its_height_above_the_sea(make_scene, ridge):
+def test_path_height_is_relative_to_the_ground_or_the_sea(make_scene, ridge):
     scene = make_scene(ridge)
     keys = (0.0, (-200, 7, 20)), (10.0, (200, 7, 20))
     over_ground, over_sea = path_in(scene, *keys), path_in(scene, (0.0, (-200, 7, 260)), (10.0, (200, 7, 160)), above="sea")
     for seconds in np.linspace(-2.0, 12.0, 29):
         t = np.clip(seconds / 10.0, 0.0, 1.0)
-        share = t * t * (3.0 - 2.0 * t)  # it starts and stops slowly
+        share = t * t * (3.0 - 2.0 * t)  # smoothstep: the path starts and stops slowly
         x = -200.0 + 400.0 * share
         ground = float(scene.elevation.ground_m(x, 7.0))
         low, high = over_ground.at_second(float(seconds)), over_sea.at_second(float(seconds))
@@ -49,12 +52,12 @@ def test_it_follows_the_ground_or_keeps_its_height_above_the_sea(make_scene, rid
         path.check("path")
 
 
-def test_what_lies_on_water_is_counted_from_the_water(make_scene, ridge):
+def test_path_height_over_water_is_relative_to_the_water(make_scene, ridge):
     scene = make_scene(ridge, water={"level": 80})
     assert path_in(scene, (0.0, (-300, 0, 2)), (9.0, (-200, 0, 2))).at_second(4.0).point_earth_m[2] == pytest.approx(82.0)
 
 
-def test_a_flight_through_a_ridge_is_refused_and_one_over_it_is_not(make_scene, ridge):
+def test_path_through_a_ridge_is_rejected(make_scene, ridge):
     scene = make_scene(ridge)
     through = path_in(scene, (0.0, (-200, 0, 120)), (10.0, (200, 0, 120)), above="sea")
     with pytest.raises(LevelError) as caught:
@@ -66,8 +69,8 @@ def test_a_flight_through_a_ridge_is_refused_and_one_over_it_is_not(make_scene, 
     path_in(scene, (0.0, (-200, 0, 60)), (5.0, (0, 0, 155)), (10.0, (200, 0, 60)), above="sea").check("path")
 
 
-def test_places_off_the_terrain_are_refused(make_scene, write_raster):
-    """A key; and a way between keys that leads over ground without data, farther from any than is filled."""
+def test_path_off_the_terrain_is_rejected(make_scene, write_raster):
+    """Rejected are a key outside the raster and a leg over ground without data that is too wide to be filled."""
     scene = make_scene(write_raster(np.zeros((40, 40), np.float32), ENGINEERING, -200.0, 200.0, 10.0, "small.tif"))
     with pytest.raises(LevelError, match=r"path\.1\.position: '\(500, 0, 3\)' .* within -200\.00, -200\.00, 200\.00, 200\.00"):
         path_in(scene, (0.0, (0, 0, 3)), (3.0, (500, 0, 3)))
@@ -84,8 +87,8 @@ def test_places_off_the_terrain_are_refused(make_scene, write_raster):
 
 
 @pytest.mark.parametrize("seconds", [0.0, 5.0, 8.0])
-def test_on_the_globe_it_keeps_its_height_between_far_keys(make_scene, write_raster, seconds):
-    """The chord of keys 60 km apart lies 70 m under the sea; and north is true north."""
+def test_path_on_the_globe_keeps_its_height_between_far_keys(make_scene, write_raster, seconds):
+    """The chord between keys 60 km apart lies 70 m below sea level. North is true north."""
     dem = write_raster(np.full((90, 90), 100.0, np.float32), UTM, 455000, 5045000, 1000)
     scene = make_scene(dem)
     out, back = (transformer(CRS(UTM), LONGITUDE_LATITUDE).transform(x, 5001000) for x in (470000, 530000))
@@ -99,7 +102,7 @@ def test_on_the_globe_it_keeps_its_height_between_far_keys(make_scene, write_ras
         assert lon == pytest.approx((out[0] + back[0]) / 2, abs=1e-6)
 
 
-def test_over_the_antimeridian_it_takes_the_short_way(make_scene, write_raster):
+def test_path_across_the_antimeridian_is_the_short_one(make_scene, write_raster):
     dem = write_raster(np.full((20, 60), 10.0, np.float32), "EPSG:4326", 178.5, -16.0, 0.05)
     scene = make_scene(dem)
     path = path_in(scene, (0.0, (179.5, -16.5, 5.0)), (8.0, (-179.5, -16.5, 5.0)))
@@ -108,15 +111,15 @@ def test_over_the_antimeridian_it_takes_the_short_way(make_scene, write_raster):
     assert abs(lon) == pytest.approx(180.0, abs=1e-6) and height == pytest.approx(15.0, abs=1e-2)
 
 
-def test_it_looks_where_it_goes(make_scene, ridge):
-    """Degrees clockwise from north: on the way, at its ends, and while it rests."""
+def test_azimuth_follows_the_direction_of_travel(make_scene, ridge):
+    """Degrees clockwise from north: on the way, at both ends, and during a rest."""
     scene = make_scene(ridge)
     path = path_in(scene, (0.0, (-200, 0)), (5.0, (-200, 100)), (8.0, (-200, 100)), (20.0, (-150, 50)))
     for seconds, azimuth in ((-3.0, 0.0), (0.0, 0.0), (2.5, 0.0), (6.0, 0.0), (9.0, 135.0), (15.0, 135.0), (30.0, 135.0)):
         assert path.azimuth_deg(seconds) == pytest.approx(azimuth, abs=1e-4), seconds
 
 
-def test_a_path_round_a_large_raster_is_looked_at_in_bounded_time(make_scene, ridge):
+def test_number_of_checked_samples_is_bounded(make_scene, ridge):
     path = path_in(make_scene(ridge), *((float(n), ((n % 2) * 400 - 200, n % 7)) for n in range(3000)))
     assert 2999 * 16 <= len(path.sample_times_s()) < 80_000
     assert path.sample_times_s()[[0, -1]].tolist() == [0.0, 2999.0]

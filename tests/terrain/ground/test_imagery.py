@@ -1,4 +1,4 @@
-"""Imagery draped over the ground: its colours where they lie, averaged where pixels are coarse, the tint where there are none."""
+"""Imagery draped over the ground: georeferenced colours, averaged for coarse pixels, with the tint where imagery is missing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.render import render
 UTM = "EPSG:32633"
 X0, Y0 = 450_000.0, 6_000_000.0
 SIDE, CELL = 16, 25.0
-"""Cells a side of the imagery, and their metres: it covers the DEM's 400 m."""
+"""Cells along a side of the imagery and their size in metres: it covers the 400 m of the DEM."""
 
 
 @pytest.fixture
@@ -38,13 +38,13 @@ def colours(seed: int = 1) -> np.ndarray:
 
 
 def bilinear(data: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Linear albedo (..., 3) of bytes (3, rows, cols) at fractional cells, clamped at the border."""
+    """Return the linear albedo (..., 3) of bytes (3, rows, cols) at fractional cells, clamped at the border."""
     linear = srgb_albedo(data / 255.0).astype(float)
     return np.stack([map_coordinates(linear[k], [row, col], order=1, mode="nearest") for k in range(3)], axis=-1)
 
 
 def draped(write_raster, make_scene, dem, data: np.ndarray, crs: str = UTM, x0=X0, y0=Y0, cell=CELL, **keys) -> Scene:
-    """The scene of a level with imagery, written to a file of its own."""
+    """Return the scene of a level with imagery, which is written to its own file."""
     options = {key: keys.pop(key) for key in ("nodata",) if key in keys}
     image = write_raster(data, crs, x0, y0, cell, name=f"image{hash(data.tobytes())}.tif", **options)
     return make_scene(dem, terrain={"imagery": image.name}, **keys)
@@ -55,8 +55,8 @@ def xy_of(view) -> tuple[np.ndarray, np.ndarray]:
     return view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
 
 
-def test_a_map_shows_the_colours_at_its_coordinates(gl, hill, write_raster, make_scene):
-    """In cells' middles exactly their colours, between them in between, with linear light."""
+def test_map_shows_imagery_at_its_coordinates(gl, hill, write_raster, make_scene):
+    """Colours are exact at cell centres and interpolated between them in linear light."""
     data = colours()
     scene = draped(write_raster, make_scene, hill, data)
     view = scene.view(bounds=(X0 + 50, Y0 - 350, X0 + 350, Y0 - 50), size=(300, 300))
@@ -64,7 +64,7 @@ def test_a_map_shows_the_colours_at_its_coordinates(gl, hill, write_raster, make
     x, y = xy_of(view)
     expected = bilinear(data, (Y0 - y) / CELL - 0.5, (x - X0) / CELL - 0.5)
     np.testing.assert_allclose(albedo, expected, atol=2e-4)
-    fine = scene.view(bounds=(X0 + 125, Y0 - 150, X0 + 150, Y0 - 125), size=(25, 25))  # one cell, a metre a pixel
+    fine = scene.view(bounds=(X0 + 125, Y0 - 150, X0 + 150, Y0 - 125), size=(25, 25))  # one cell, a metre per pixel
     np.testing.assert_allclose(geometry_buffer(scene, fine).albedo[12, 12], srgb_albedo(data[:, 5, 5] / 255.0), atol=1e-5)
 
 
@@ -78,7 +78,7 @@ def eye_view(fov: float = 50.0, height: float = 40.0) -> dict:
     return {"eye": {"kind": "perspective", "eye": [*eye, height], "target": [*target, 0], "fov": fov, "size": [120, 90]}}
 
 
-def test_a_perspective_view_shows_the_colours_at_its_points(gl, hill, write_raster, make_scene):
+def test_perspective_view_shows_imagery_at_its_points(gl, hill, write_raster, make_scene):
     data = colours(2)
     scene = draped(write_raster, make_scene, hill, data, views=eye_view())
     buffer = geometry_buffer(scene, near_view(scene))
@@ -93,8 +93,8 @@ def test_a_perspective_view_shows_the_colours_at_its_points(gl, hill, write_rast
 
 
 @pytest.mark.parametrize(("crs", "cell"), [("EPSG:4326", 4e-4), ("EPSG:3857", 45.0), ("EPSG:32632", 25.0)])
-def test_imagery_in_another_crs_lies_where_it_should(gl, hill, write_raster, make_scene, crs, cell):
-    """Within a hundredth of a cell of where PROJ says."""
+def test_imagery_in_another_crs_is_aligned(gl, hill, write_raster, make_scene, crs, cell):
+    """The offset from PROJ's position is at most a hundredth of a cell."""
     to = Transformer.from_crs(UTM, crs, always_xy=True)
     left, bottom, right, top = to.transform_bounds(X0, Y0 - 410, X0 + 410, Y0)
     shape = int(np.ceil((top - bottom) / cell)) + 2, int(np.ceil((right - left) / cell)) + 2
@@ -111,19 +111,22 @@ def test_imagery_in_another_crs_lies_where_it_should(gl, hill, write_raster, mak
         np.testing.assert_allclose(buffer.albedo[ground], bilinear(data, row, col), atol=0.02)
 
 
-def test_where_there_is_no_imagery_the_tint_shows(gl, hill, write_raster, make_scene):
-    """Imagery over the western half alone, and a hole in it: there NaN, and the colours of the level without imagery."""
+def test_tint_shows_where_imagery_is_missing(gl, hill, write_raster, make_scene):
+    """The imagery covers only the western half and has a hole. Elsewhere the albedo is NaN and the colours equal those without
+    imagery.
+    """
     data = colours(4)[:, :, :8]
     data = np.maximum(data, 1)
     data[:, 3:6, 2:5] = 0
-    plain = {"views": eye_view(), "effects": {"ground_detail": "off"}}  # which is for ground without imagery
+    plain = {"views": eye_view(), "effects": {"ground_detail": "off"}}  # ground detail applies only to ground without imagery
     scene = draped(write_raster, make_scene, hill, data, nodata=0, **plain)
     bare = make_scene(hill, **plain)
     view = scene.view(bounds=(X0 + 10, Y0 - 390, X0 + 390, Y0 - 10), size=(190, 190))
     x, y = xy_of(view)
     covered = (x < X0 + 8 * CELL) & (y < Y0) & (y > Y0 - SIDE * CELL)
     row, col = (Y0 - y) / CELL, (x - X0) / CELL
-    hole = (row >= 2.5) & (row <= 6.5) & (col >= 1.5) & (col <= 5.5)  # half a cell round it: beside a cell without data
+    # Half a cell more on each side: interpolation needs valid cells
+    hole = (row >= 2.5) & (row <= 6.5) & (col >= 1.5) & (col <= 5.5)
     albedo = geometry_buffer(scene, view).albedo
     np.testing.assert_array_equal(np.isfinite(albedo[..., 0]), covered & ~hole)
     with_it, without = render(scene, view), render(bare, view)
@@ -136,8 +139,8 @@ def test_where_there_is_no_imagery_the_tint_shows(gl, hill, write_raster, make_s
 
 
 @pytest.mark.parametrize("pixel_m", [50.0, 100.0])
-def test_coarse_pixels_average_the_light(gl, hill, write_raster, make_scene, pixel_m):
-    """A chequerboard of black and white, finer than the pixels: half the light, not half the number."""
+def test_coarse_pixels_average_linear_light(gl, hill, write_raster, make_scene, pixel_m):
+    """A black and white chequerboard finer than the pixels has half the light, not half the sRGB value."""
     board = np.where(np.indices((64, 64)).sum(axis=0) % 2, 255, 0).astype(np.uint8)
     scene = draped(write_raster, make_scene, hill, np.stack([board] * 3), cell=6.25)
     count = int(300 / pixel_m)
@@ -145,8 +148,8 @@ def test_coarse_pixels_average_the_light(gl, hill, write_raster, make_scene, pix
     np.testing.assert_allclose(geometry_buffer(scene, view).albedo, 0.5, atol=1e-5)
 
 
-def test_the_colours_reach_the_picture(gl, write_raster, make_scene):
-    """Gray imagery of the albedo of bare level ground gives the picture of bare level ground; red gives a red one."""
+def test_imagery_colours_reach_the_picture(gl, write_raster, make_scene):
+    """Gray imagery with the albedo of bare level ground gives the same picture as bare ground. Red imagery gives a red picture."""
     floor = write_raster(np.zeros((21, 21), np.float32), ENGINEERING, -105.0, 105.0, 10.0)
     gray = int(round(255 * (1.055 * LEVEL_ALBEDO ** (1 / 2.4) - 0.055)))
     pictures = {}
@@ -171,8 +174,8 @@ def test_sixteen_bits_are_stretched_to_their_98th_percentile(write_raster):
     np.testing.assert_allclose(Imagery(str(path)).albedo(cells, 1.0)[0, 0], [1.0, srgb_albedo(0.5), 1.0], atol=1e-5)
 
 
-def test_larger_rasters_are_averaged_to_what_is_kept(write_raster, monkeypatch):
-    """Cells keep their places: 64 cells a side read as 16."""
+def test_large_imagery_is_averaged_to_max_side(write_raster, monkeypatch):
+    """Cells keep their positions: 64 cells a side are read as 16."""
     monkeypatch.setattr("skugga.terrain.ground.imagery.MAX_SIDE", 16)
     data = np.repeat(np.repeat(colours(5), 4, axis=1), 4, axis=2)
     path = write_raster(data, UTM, X0, Y0, CELL / 4, name="large.tif")
@@ -183,7 +186,7 @@ def test_larger_rasters_are_averaged_to_what_is_kept(write_raster, monkeypatch):
     np.testing.assert_allclose(image.albedo(cells[:, None], 1.0)[:, 0], srgb_albedo(colours(5)[:, row, col].T / 255.0), atol=1e-5)
 
 
-def test_what_is_no_imagery_is_refused_in_one_line(hill, write_raster, make_scene, tmp_path):
+def test_invalid_imagery_is_rejected_in_one_line(hill, write_raster, make_scene, tmp_path):
     data = colours(6)
     size = {"height": SIDE, "width": SIDE, "count": 3, "dtype": "uint8", "transform": Affine(2, 0, 5, 0, -2, 9)}
     with rasterio.open(tmp_path / "nowhere.tif", "w", driver="GTiff", **size) as dataset:

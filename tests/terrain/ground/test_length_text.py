@@ -1,4 +1,4 @@
-"""Lengths in texts: units, decimal commas, and what is no length."""
+"""Lengths in texts: units, decimal commas, and invalid lengths."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def test_length_m_reads_units_and_decimal_commas(text, metres):
     assert length_m(text) == pytest.approx(metres, rel=1e-12)
 
 
-def test_length_m_takes_the_usual_unit_where_none_is_named():
+def test_length_m_uses_the_default_unit():
     assert length_m("10", 0.3048) == pytest.approx(3.048) and length_m("10 m", 0.3048) == 10.0
 
 
 @pytest.mark.parametrize("text", ["", "tall", "12-15", "1.200,5", "12 storeys", "~12", "nan", "inf", "m"])
-def test_length_m_refuses_what_is_no_length(text):
+def test_length_m_rejects_invalid_lengths(text):
     with pytest.raises(ValueError):
         length_m(text)
 

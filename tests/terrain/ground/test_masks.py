@@ -1,4 +1,4 @@
-"""Cells that a file declares empty, in whichever way and in several at once, are no ground, no canopy and no picture."""
+"""Cells that a file declares empty, in one or several ways, are neither ground, canopy nor imagery."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from tests.rasters import write_geotiff
 
 SIDE = 64
 FILLER = 500
-"""What empty cells have: a wall, where it is taken for ground."""
+"""Value of empty cells: a wall if it is read as ground."""
 
 OWN, STATED = 7, 9
 """Nodata values of the file and of the level."""
 
 
 def empty_cells() -> dict[str, np.ndarray]:
-    """Which cells each way of declaring it says to be empty."""
+    """Return the empty cells of each way to declare them."""
     cells = {name: np.zeros((SIDE, SIDE), bool) for name in ("beside", "nodata", "stated")}
     cells["beside"][12:29, 7:23] = True
     cells["nodata"][40:51, 33:47] = True
@@ -48,7 +48,7 @@ WAYS = {
 
 
 def write(path: Path, heights: np.ndarray, alpha=None, mask=None, nodata=None, overviews=()) -> tuple[Path, np.ndarray]:
-    """A raster that declares its empty cells so; and which those are."""
+    """Write a raster that declares its empty cells, and return its path and these cells."""
     cells, bands = empty_cells(), [heights]
     empty = np.zeros_like(cells["beside"])
     heights[cells["nodata"]], heights[cells["stated"]] = OWN, STATED
@@ -79,7 +79,7 @@ def write(path: Path, heights: np.ndarray, alpha=None, mask=None, nodata=None, o
 
 
 def means(heights: np.ndarray, cell_valid: np.ndarray, factor: int) -> np.ndarray:
-    """Of the valid of factor x factor cells; NaN where there is none."""
+    """Return the means of the valid cells among factor x factor cells, NaN without any."""
     count, shape = SIDE // factor, (SIDE // factor, factor, SIDE // factor, factor)
     known = cell_valid.reshape(shape).sum(axis=(1, 3))
     total = np.where(cell_valid, heights, 0).astype(float).reshape(shape).sum(axis=(1, 3))
@@ -87,7 +87,7 @@ def means(heights: np.ndarray, cell_valid: np.ndarray, factor: int) -> np.ndarra
 
 
 def seen_of(elevation: Elevation, level: int) -> np.ndarray:
-    """Heights of a level's cells, NaN where there is no surface."""
+    """Return the heights of a level's cells, NaN without a surface."""
     middle = np.arange(SIDE // 2**level) * 2.0**level + (2**level - 1) / 2
     height, valid = elevation.heights_at(level, *np.meshgrid(middle, middle, indexing="ij"))
     return np.where(valid, height, np.nan)
@@ -98,7 +98,7 @@ def seen_of(elevation: Elevation, level: int) -> np.ndarray:
 @pytest.mark.parametrize("dtype", ["float32", "int16", "uint16", "uint8"])
 @pytest.mark.parametrize("way", WAYS)
 def test_declared_empty_cells_are_no_ground_at_any_zoom(tmp_path, monkeypatch, way, dtype, stated, is_large):
-    """A large raster is read by the overviews of its file, where those were made with all that declares cells empty."""
+    """A large raster is read from the overviews of its file if these were built with all declarations of empty cells."""
     if is_large:
         monkeypatch.setattr(module, "EXACT_HIGH_CELLS", 100)
     heights = np.random.default_rng(1).integers(100, 200, (SIDE, SIDE)).astype(dtype)
@@ -110,14 +110,14 @@ def test_declared_empty_cells_are_no_ground_at_any_zoom(tmp_path, monkeypatch, w
         expected = means(heights, ~empty, 2**level)
         seen = seen_of(elevation, level)
         np.testing.assert_array_equal(np.isnan(seen), np.isnan(expected))
-        by_overviews = level * is_large * (not stated) * 100.0  # means of means, of more cells or less: no filler among them
+        by_overviews = level * is_large * (not stated) * 100.0  # means of means over more or fewer cells, without filler
         tolerance = 0.51 if np.dtype(dtype).kind in "iu" and level else 1e-3
         np.testing.assert_allclose(seen[~np.isnan(seen)], expected[~np.isnan(seen)], atol=max(tolerance, by_overviews))
     elevation.close()
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_declared_empty_cells_bear_no_trees(tmp_path, way):
+def test_declared_empty_cells_have_no_trees(tmp_path, way):
     path, empty = write(tmp_path / "chm.tif", np.full((SIDE, SIDE), 20, np.float32), **WAYS[way])
     with rasterio.open(path, "r+") as dataset:
         values = dataset.read(1)
@@ -131,7 +131,7 @@ def test_declared_empty_cells_bear_no_trees(tmp_path, way):
 
 @pytest.mark.parametrize("declared", ["alpha", "alpha and nodata", "alpha in a fifth band", "msk and nodata"])
 def test_declared_empty_cells_are_no_imagery(tmp_path, declared):
-    """Nor do they brighten what is left of 16 bits."""
+    """Empty cells do not affect the brightness stretch of 16-bit imagery either."""
     empty, dark = np.zeros((SIDE, SIDE), bool), np.zeros((SIDE, SIDE), bool)
     empty[:20], dark[40:50] = True, "nodata" in declared
     color = np.full((3, SIDE, SIDE), 1000, np.uint16)
@@ -153,18 +153,18 @@ def test_declared_empty_cells_are_no_imagery(tmp_path, declared):
     seen = Imagery(str(path)).albedo(np.stack([row, col], axis=-1), 1.0)
     inside = ~np.isnan(seen).any(axis=-1)
     valid = ~(empty | dark)
-    np.testing.assert_array_equal(inside[:-1], valid[:-1] & valid[1:])  # a colour lies between two rows
+    np.testing.assert_array_equal(inside[:-1], valid[:-1] & valid[1:])  # a colour is interpolated between two rows
     np.testing.assert_allclose(seen[inside], 1.0, atol=1e-6)
 
 
-def test_a_wall_of_filler_behind_an_alpha_band_throws_no_shadow(tmp_path):
-    """Of 500 m, with the sun 39.8 degrees high it would be 600 m long: 60 cells."""
+def test_filler_behind_an_alpha_band_casts_no_shadow(tmp_path):
+    """With the sun at 39.8 degrees, a wall of 500 m would cast a shadow of 600 m, or 60 cells."""
     import skugga
 
     heights = np.zeros((2, SIDE, 2 * SIDE), np.float32)
     heights[1] = 1.0
     heights[0, :, :20], heights[1, :, :20] = 500.0, 0.0
-    heights[0, 30:34, 70:74] = 50.0  # a tower, whose shadow stays: 6 cells
+    heights[0, 30:34, 70:74] = 50.0  # a tower with a valid shadow of 6 cells
     path = tmp_path / "dem.tif"
     with rasterio.open(
         path, "w", driver="GTiff", width=2 * SIDE, height=SIDE, count=2, dtype="float32", crs="EPSG:32633",
@@ -178,8 +178,8 @@ def test_a_wall_of_filler_behind_an_alpha_band_throws_no_shadow(tmp_path):
     assert (mask[32, 75:79] == 0).all() and (mask[:, 82:] == 255).all()
 
 
-def test_a_mask_stays_where_a_level_names_nodata(tmp_path):
-    """Together with a wrong value of nodata it is still refused by name."""
+def test_mask_applies_also_if_a_level_states_nodata(tmp_path):
+    """An impossible nodata value is still rejected by name."""
     path, empty = write(tmp_path / "dem.tif", np.full((SIDE, SIDE), 100, np.uint16), mask="inside")
     assert np.isnan(seen_of(Elevation(str(path), nodata=STATED), 0))[empty].all()
     with pytest.raises(SourceError, match="dem.tif: nodata: .*uint16"):
@@ -187,7 +187,7 @@ def test_a_mask_stays_where_a_level_names_nodata(tmp_path):
 
 
 @pytest.mark.parametrize(("dtype", "word"), [("int16", "nan"), ("uint16", "-9999"), ("uint8", "1e+20")])
-def test_a_nodata_value_that_no_cell_can_have_is_told(tmp_path, make_scene, dtype, word):
+def test_nodata_value_that_no_cell_can_have_is_reported(tmp_path, make_scene, dtype, word):
     write_geotiff(tmp_path / "cells.tif", np.full((SIDE, SIDE), 100, dtype), "EPSG:32633", 500e3, 5200e3, 10.0)
     path = tmp_path / "dem.vrt"
     path.write_text(

@@ -1,4 +1,4 @@
-"""Noise: numbers that hold for good, since grounds, clouds and meadows hang on them, one place at a time or many at once."""
+"""Noise values: stable across versions, because ground, clouds and meadows depend on them, and equal for one place or many."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ KNOWN = {
 
 
 @pytest.mark.parametrize("place", KNOWN)
-def test_what_a_place_has_for_a_seed_never_changes(place):
+def test_noise_of_a_place_and_seed_never_changes(place):
     assert noise_at(*place) == KNOWN[place]
 
 
 @given(st.lists(st.tuples(*[st.floats(-1e9, 1e9)] * 2), min_size=1, max_size=40), st.integers(0, 2**31))
-def test_many_places_at_once_have_the_same_bits(places, seed):
+def test_noise_along_equals_noise_at_bit_for_bit(places, seed):
     x, y = np.array(places).T.copy()
     out = np.empty(len(x))
     noise_along(x, y, seed, out)
     np.testing.assert_array_equal(out, [noise_at(*place, seed) for place in places])
 
 
-def test_noise_is_0_at_whole_coordinates_and_turns_smoothly_there():
+def test_noise_is_zero_and_smooth_at_whole_coordinates():
     x, y = (axis.ravel() for axis in np.mgrid[-6:7, -6:7].astype(float))
     at, beside = np.empty(x.size), np.empty(x.size)
     noise_along(x, y, 9, at)
     noise_along(x + 1e-6, y, 9, beside)
     assert not at.any()
-    assert (np.abs(beside) <= 1.01e-6).all() and (np.abs(beside) >= 0.49e-6).all()  # gradients are 1 or a half along an axis
+    assert (np.abs(beside) <= 1.01e-6).all() and (np.abs(beside) >= 0.49e-6).all()  # gradients are 1 or 1/2 along an axis

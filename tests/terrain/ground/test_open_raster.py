@@ -1,4 +1,4 @@
-"""A value that a level takes for missing: alone, beside the file's own, and when cells are averaged."""
+"""Nodata values stated by a level: alone, with the file's own nodata value, and in averages of cells."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.rasters import write_geotiff
 
 
 def ground(path, heights: np.ndarray, stated: float | None, **options) -> np.ndarray:
-    """Heights of all cells, NaN where there is no surface."""
+    """Return the heights of all cells, NaN without a surface."""
     write_geotiff(path / "dem.tif", heights, "EPSG:32633", 500e3, 5200e3, 10.0, **options)
     elevation = Elevation(str(path / "dem.tif"), nodata=stated)
     row, col = np.mgrid[: heights.shape[0], : heights.shape[1]].astype(float)
@@ -24,7 +24,7 @@ def ground(path, heights: np.ndarray, stated: float | None, **options) -> np.nda
 @pytest.mark.parametrize(
     ("own", "dtype"), [(None, np.float32), (-9999.0, np.float32), (-9999.0, np.int16), (0.0, np.int16), (np.nan, np.float64)]
 )
-def test_both_values_are_missing(tmp_path, own, dtype):
+def test_stated_and_own_nodata_are_both_missing(tmp_path, own, dtype):
     heights = np.arange(100, 200).reshape(10, 10).astype(dtype)
     heights[2, 3:6] = 0
     missing = heights == 0
@@ -50,8 +50,8 @@ def test_scale_and_unit_are_kept(tmp_path):
     assert np.isnan(elevation.overview.heights_m[0]).all()
 
 
-def test_it_is_not_averaged_into_heights(tmp_path):
-    """A raster larger than its overview: cells of two are means of what is known."""
+def test_stated_nodata_is_not_averaged_into_heights(tmp_path):
+    """The raster is larger than its overview: coarse cells are means of the valid cells."""
     heights = np.full((600, 1024), 500.0, np.float32)
     heights[:, :301] = 0.0
     path = write_geotiff(tmp_path / "wide.tif", heights, "EPSG:32633", 500e3, 5200e3, 10.0)
@@ -62,8 +62,8 @@ def test_it_is_not_averaged_into_heights(tmp_path):
     np.testing.assert_array_equal(known.any(axis=0), np.arange(512) >= 150)
 
 
-def test_overviews_in_the_file_are_not_taken(tmp_path):
-    """Somebody averaged the zeros into them."""
+def test_stated_nodata_ignores_overviews_in_the_file(tmp_path):
+    """The overviews in the file contain averages with the zeros."""
     heights = np.full((1200, 1200), 500.0, np.float32)
     heights[:, :333] = 0.0
     path = write_geotiff(
@@ -76,11 +76,11 @@ def test_overviews_in_the_file_are_not_taken(tmp_path):
 
 
 @pytest.mark.parametrize("value", [-9999.0, 70000.0, 0.5])
-def test_a_value_that_no_cell_can_have_is_refused(tmp_path, value):
+def test_nodata_value_that_no_cell_can_have_is_rejected(tmp_path, value):
     with pytest.raises(SourceError, match="dem.tif: nodata: .*uint16"):
         ground(tmp_path, np.ones((5, 5), np.uint16), value)
 
 
-def test_a_bundled_set_takes_one_too():
+def test_bundled_data_set_accepts_a_stated_nodata():
     lowest = Elevation("jacksboro").overview.lowest_m
     assert Elevation("jacksboro", nodata=lowest).overview.lowest_m > lowest

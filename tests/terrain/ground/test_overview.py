@@ -1,4 +1,4 @@
-"""A raster's overview: its highest ground where only means are read, and which overviews a file has to have."""
+"""Overviews of rasters: estimate the highest ground from means, and check which overviews a file needs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PEAK_M = 3000.0
 
 @pytest.fixture
 def big(write_raster, monkeypatch) -> Elevation:
-    """A plain of 500 m with a peak a few cells wide, a pit like it, and a hole: too big to be read cell by cell."""
+    """Return a plain of 500 m with a narrow peak, a narrow pit and a hole: too large for an exact read."""
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 128 * 128)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 128 * 128)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 32)
@@ -30,17 +30,17 @@ def big(write_raster, monkeypatch) -> Elevation:
     return Elevation(str(write_raster(heights.astype(np.float32), "EPSG:32633", 500_000, 5_300_000, 30.0, tiled=True)))
 
 
-def test_a_peak_among_means_is_about_as_high_as_it_is(big):
+def test_peak_is_estimated_from_means(big):
     found = big.overview
     assert found.level == 5 and found.high_m.shape == (32, 32)
-    # the mean of the 32 x 32 cells round it: less than a quarter of the peak
+    # The mean of the 32 x 32 cells around the peak is less than a quarter of its height.
     assert np.nanmax(found.heights_m) < 500.0 + PEAK_M / 4
     assert 500.0 + 0.8 * PEAK_M < np.nanmax(found.high_m) < 500.0 + 1.6 * PEAK_M
     assert np.unravel_index(np.nanargmax(found.high_m), (32, 32))[1] in (20, 21)
     assert found.lowest_m < 500.0 - 0.8 * 400.0
 
 
-def test_the_highest_ground_is_nowhere_lower_than_the_means_and_none_where_there_is_none(big):
+def test_high_m_is_at_least_the_mean_and_nan_in_holes(big):
     found = big.overview
     valid = np.isfinite(found.heights_m)
     assert (found.high_m[valid] >= found.heights_m[valid] - 1e-3).all()
@@ -48,7 +48,7 @@ def test_the_highest_ground_is_nowhere_lower_than_the_means_and_none_where_there
     assert (found.high_m[2:8, 22:30] == 500.0).all()
 
 
-def test_strips_make_no_difference(big, monkeypatch):
+def test_overview_does_not_depend_on_strip_height(big, monkeypatch):
     monkeypatch.setattr(overview, "MEANS_ROWS", 4)
     again = Elevation(big.name)
     np.testing.assert_array_equal(again.overview.high_m, big.overview.high_m)
@@ -58,7 +58,7 @@ def test_strips_make_no_difference(big, monkeypatch):
 @pytest.mark.parametrize(
     ("side", "factors", "lacks"),
     [
-        (5_000, [], False),  # is read as it is
+        (5_000, [], False),  # read at full resolution
         (10_000, [], True),
         (10_000, [2, 4, 8, 16], False),
         (10_000, [4, 16], False),
@@ -67,11 +67,11 @@ def test_strips_make_no_difference(big, monkeypatch):
         (40_000, [2, 4, 8, 16, 32, 64], False),
     ],
 )
-def test_which_overviews_are_enough(side, factors, lacks):
+def test_lacks_overviews_for_large_rasters(side, factors, lacks):
     assert lacks_overviews(side, side, factors) is lacks
 
 
-def test_what_is_refused_for_want_of_them():
+def test_check_overviews_rejects_rasters_without_enough():
     check_overviews("dem.tif", 30_000, 30_000, [])
     check_overviews("dem.tif", 100_000, 100_000, [4])
     with pytest.raises(SourceError, match="40000 x 40000 cells and no overview.*1,000 million.*'skugga overviews dem.tif'"):
@@ -80,7 +80,7 @@ def test_what_is_refused_for_want_of_them():
         check_overviews("dem.tif", 100_000, 100_000, [2])
 
 
-def test_a_level_that_lacks_them_says_so(make_scene, write_raster, monkeypatch):
+def test_scene_warns_about_missing_overviews(make_scene, write_raster, monkeypatch):
     path = write_raster(np.zeros((600, 700), np.float32), "EPSG:32633", 500_000, 5_300_000, 30.0)
     assert make_scene(path).warnings == ()
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 10_000)

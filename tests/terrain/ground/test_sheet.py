@@ -1,4 +1,4 @@
-"""Sheets: quads are cut along the diagonal whose ends stand higher, so that no side is preferred."""
+"""Sheets: quads are split along the higher diagonal, so that no direction is preferred."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ CORNERS = [(0, 0), (0, 1), (1, 0), (1, 1)]
 """Rows and columns of a quad's corners: NW, NE, SW, SE."""
 
 HEIGHTS = arrays(np.int8, st.tuples(st.integers(2, 6), st.integers(2, 6)), elements=st.integers(-3, 5))
-"""So few heights that some quads are plane; the lowest stands for none."""
+"""Few different heights, so that some quads are planar; the lowest stands for a missing node."""
 
 
 def nodes_of(height: np.ndarray) -> np.ndarray:
-    """Nodes (rows, cols, 3) a metre apart: rows run south, columns east."""
+    """Return nodes (rows, cols, 3) at 1 m spacing: rows run south, columns east."""
     row, col = np.mgrid[: height.shape[0], : height.shape[1]].astype(float)
     return np.stack([col, -row, height], axis=-1)
 
 
 def height_at(sheet: Sheet, x: float, y: float) -> float:
-    """The height of the first triangle that a place lies in or on."""
+    """Return the height of the first triangle that contains a place, borders included."""
     for o, a, b in sheet.position_frame_m.reshape(-1, 3)[sheet.triangles]:
         u, v = np.linalg.solve(np.stack([a - o, b - o], axis=1)[:2], [x - o[0], y - o[1]])
         if min(u, v, 1.0 - u - v) >= -1e-9:
@@ -44,14 +44,14 @@ def test_triangles_of_either_cut_face_up_and_cover_the_sheet(falls):
     diagonal, other = ((0, 6), (1, 5)) if falls else ((1, 5), (0, 6))  # of the first quad
     corners = [set(triangle) for triangle in triangles.tolist()]
     assert sum(set(diagonal) <= each for each in corners) == 2 and not any(set(other) <= each for each in corners)
-    # each quad's two triangles: together its four corners, first the one on its north side
+    # The two triangles of a quad contain its four corners; the northern one comes first.
     for n, (north, south) in enumerate(zip(corners[::2], corners[1::2], strict=True)):
         northwest = n // 4 * 5 + n % 4
         assert north | south == {northwest, northwest + 1, northwest + 5, northwest + 6}
         assert {northwest, northwest + 1} <= north and {northwest + 5, northwest + 6} <= south
 
 
-def test_the_ends_that_stand_higher_are_joined():
+def test_diagonal_with_the_higher_ends_is_the_cut():
     for height, falls in (
         ([[1, 0], [0, 0]], True),
         ([[0, 0], [0, 1]], True),
@@ -68,8 +68,8 @@ def test_the_ends_that_stand_higher_are_joined():
     height=arrays(np.float64, (2, 2), elements=st.floats(-1000, 1000)),
     place=st.tuples(st.floats(0, 1), st.floats(0, 1)),
 )
-def test_the_surface_is_the_higher_one_of_the_two_cuts(height, place):
-    """Everywhere in a quad: the upper hull of its corners."""
+def test_surface_is_the_higher_of_the_two_cuts(height, place):
+    """The surface is the upper hull of the four corners everywhere in a quad."""
     x, y = place[0], -place[1]
     nodes = nodes_of(height)
     rising, falling = (height_at(Sheet(nodes, np.array([[falls]])), x, y) for falls in (False, True))
@@ -80,7 +80,7 @@ def test_the_surface_is_the_higher_one_of_the_two_cuts(height, place):
     corners=st.tuples(*[st.integers(-100, 100)] * 3),
     place=st.tuples(st.floats(0, 1), st.floats(0, 1)),
 )
-def test_a_quad_of_equal_sums_is_plane_whichever_way_it_is_cut(corners, place):
+def test_planar_quad_is_equal_for_both_cuts(corners, place):
     nw, ne, sw = corners
     x, y = place[0], -place[1]
     nodes = nodes_of(np.array([[nw, ne], [sw, ne + sw - nw]], float))
@@ -90,7 +90,7 @@ def test_a_quad_of_equal_sums_is_plane_whichever_way_it_is_cut(corners, place):
 
 
 def corners_of(sheet: Sheet, plane: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> set[frozenset[tuple[int, int]]]:
-    """The triangles of quads that are not ``plane``, as their nodes' places ``rows`` and ``cols``."""
+    """Return the triangles of quads that are not ``plane``, as places of their nodes in ``rows`` and ``cols``."""
     quads = sheet_triangles(sheet.falls).reshape(-1, 2, 3)
     bent = {frozenset(map(int, triangle)) for triangle in quads[~plane.ravel()].reshape(-1, 3)}
     place = list(zip(rows.ravel().tolist(), cols.ravel().tolist(), strict=True))
@@ -98,8 +98,8 @@ def corners_of(sheet: Sheet, plane: np.ndarray, rows: np.ndarray, cols: np.ndarr
 
 
 @given(height=HEIGHTS, turned=st.booleans(), down=st.sampled_from([1, -1]), right=st.sampled_from([1, -1]))
-def test_turned_and_mirrored_ground_has_turned_and_mirrored_triangles(height, turned, down, right):
-    """In all eight ways, beside holes too; of a plane quad either cut is right."""
+def test_triangles_follow_rotation_and_mirroring(height, turned, down, right):
+    """All eight symmetries, also beside holes. Planar quads are left out because both cuts are right."""
     height = np.where(height < -2, np.nan, height.astype(float))
     rows, cols = np.indices(height.shape)
     found = []
@@ -111,7 +111,7 @@ def test_turned_and_mirrored_ground_has_turned_and_mirrored_triangles(height, tu
 
 
 @given(height=arrays(np.float64, (5, 7), elements=st.floats(-1000, 1000)))
-def test_the_cuts_of_mirrored_ground_run_the_other_way(height):
+def test_cuts_of_mirrored_ground_are_mirrored(height):
     bent = height[:-1, :-1] + height[1:, 1:] != height[:-1, 1:] + height[1:, :-1]
     cuts = diagonal_cuts(height)
     np.testing.assert_array_equal(diagonal_cuts(height[:, ::-1])[:, ::-1][bent], ~cuts[bent])
@@ -122,7 +122,6 @@ def test_the_cuts_of_mirrored_ground_run_the_other_way(height):
 
 @given(height=arrays(np.float64, (2, 2), elements=st.floats(-1000, 1000)), missing=st.sets(st.sampled_from(range(4))))
 def test_three_corners_are_a_triangle_and_two_are_none(height, missing):
-    """Whatever their heights."""
     for corner in missing:
         height[CORNERS[corner]] = np.nan
     triangles = [set(triangle) for triangle in sheet_of(nodes_of(height)).triangles.tolist()]
@@ -135,8 +134,8 @@ def test_three_corners_are_a_triangle_and_two_are_none(height, missing):
 
 
 @pytest.mark.parametrize("along", ["falling diagonal", "rising diagonal", "row", "column"])
-def test_a_ridge_of_one_node_s_width_stays_whole(along):
-    """Whichever way it runs, level rays from either side meet it up to its crest, between its nodes as at them."""
+def test_ridge_of_one_node_has_no_gaps(along):
+    """In any direction, horizontal rays from both sides hit the ridge up to its crest, at its nodes and between them."""
     side, crest_m = 12, 10.0
     row, col = np.indices((side, side))
     on_ridge = {"falling diagonal": row == col, "rising diagonal": row + col == side - 1, "row": row == 6, "column": col == 6}[
@@ -154,11 +153,11 @@ def test_a_ridge_of_one_node_s_width_stays_whole(along):
         assert not rays.blocked(start + 0.01 * up, direction).any()
     assert rays.blocked(crest - 0.01 * up, up).all()  # from below
     inside = ends[0] + 0.05 * (ends[1] - ends[0]) - 0.01 * up
-    assert not rays.blocked(inside[None], way, np.array([0.9 * np.linalg.norm(ends[1] - ends[0])])).any()  # along it: no gap
+    assert not rays.blocked(inside[None], way, np.array([0.9 * np.linalg.norm(ends[1] - ends[0])])).any()  # along the ridge: no gap
 
 
-def test_heights_cut_though_the_earth_bends_the_nodes():
-    """A saddle that stands on ground which falls away: its own heights count."""
+def test_cuts_use_heights_and_not_bent_nodes():
+    """A saddle on ground that falls away with the curvature: the heights above the ground decide."""
     height = np.array([[0.0, 1.0], [1.0, 0.0]])
     bent = nodes_of(height)
     bent[0, 1, 2] -= 5.0
@@ -179,6 +178,6 @@ def test_normals_are_those_of_the_triangles(height):
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (1, 5), (5, 1)])
-def test_a_single_row_or_column_has_no_triangle(shape):
+def test_single_row_or_column_has_no_triangle(shape):
     sheet = sheet_of(nodes_of(np.zeros(shape)))
     assert sheet.falls.size == 0 and sheet.triangles.shape == (0, 3)

@@ -1,4 +1,4 @@
-"""Cells that nothing marks and that can be no heights: told with what to write, and nothing is told of ground."""
+"""Undeclared cells that cannot be heights: warn with a remedy, and do not warn about real ground."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def warnings_of(path: Path, heights: np.ndarray, scale: float = 1.0, crs: str = 
         (-3.4028234663852886e38, "float32", "left out"), (1e38, "float32", "left out"), (1e20, "float64", "left out"),
     ],
 )  # fmt: skip
-def test_a_sentinel_inside_is_told(tmp_path, value, dtype, effect, size):
+def test_sentinel_inside_is_reported(tmp_path, value, dtype, effect, size):
     heights = hills(size, size).astype(dtype)
     hole = np.s_[size // 2 : size // 2 + size // 10, size // 4 : size // 4 + size // 5]
     heights[hole] = value
@@ -49,20 +49,20 @@ def test_a_sentinel_inside_is_told(tmp_path, value, dtype, effect, size):
     assert warnings_of(tmp_path, heights, nodata=float(stated)) == ()
 
 
-def test_a_single_cell_is_told(tmp_path):
+def test_single_sentinel_cell_is_reported(tmp_path):
     heights = hills(SIDE, SIDE)
     heights[77, 88] = -9999.0
     (warning,) = warnings_of(tmp_path, heights)
     assert warning.startswith("0.0025 % of the raster's cells are -9999, far")
 
 
-def test_several_sentinels_are_told_each(tmp_path):
+def test_each_of_several_sentinels_is_reported(tmp_path):
     heights = hills(SIDE, SIDE)
     heights[50:60, 50:60], heights[90:95, 90:95] = -9999.0, 1e38
     assert [text.split(" are ")[1].split(",")[0] for text in warnings_of(tmp_path, heights)] == ["-9999", "1e+38"]
 
 
-def test_one_that_a_collar_tells_of_is_told_once(tmp_path):
+def test_sentinel_of_a_collar_is_reported_once(tmp_path):
     heights = np.full((SIDE, SIDE), -9999.0, np.float32)
     heights[40:-40, 40:-40] = hills(SIDE - 80, SIDE - 80)
     (warning,) = warnings_of(tmp_path, heights)
@@ -70,13 +70,13 @@ def test_one_that_a_collar_tells_of_is_told_once(tmp_path):
 
 
 def trench() -> np.ndarray:
-    """A sea floor down to 10,900 m, in whole metres: many cells lie at 9999 m, and more near it."""
+    """Return a sea floor down to 10,900 m in whole metres: many cells lie at or near 9999 m."""
     row, col = np.mgrid[:SIDE, :SIDE]
     return (-10900.0 + 60.0 * np.hypot(row - 100, col - 100)).astype(np.int16)
 
 
 @pytest.mark.parametrize("name", ["hills", "trench", "deep plain", "flat", "depths", "spire"])
-def test_ground_is_none(tmp_path, name):
+def test_real_ground_is_not_reported(tmp_path, name):
     ground = {
         "hills": hills(SIDE, SIDE),
         "trench": trench(),
@@ -89,14 +89,14 @@ def test_ground_is_none(tmp_path, name):
     assert warnings_of(tmp_path, -ground, positive="down") == ()
 
 
-def test_marked_sentinels_and_what_is_not_a_number_are_not_told(tmp_path):
+def test_nan_and_infinity_are_not_reported(tmp_path):
     heights = hills(SIDE, SIDE)
     heights[50:60, 50:60], heights[90:95, 90:95] = np.nan, np.inf
     assert warnings_of(tmp_path, heights) == ()
 
 
-def test_mountains_in_unlabelled_feet_are_told_with_their_share(tmp_path):
-    """From 6,000 to 14,400 feet: those over 9,500 are no metres on earth."""
+def test_mountains_in_undeclared_feet_are_reported(tmp_path):
+    """Heights range from 6,000 to 14,400 feet. Values over 9,500 cannot be metres on earth."""
     feet = hills(SIDE, SIDE, 6000.0, 14400.0)
     share = 100 * float((feet > 9500.0).mean())
     (warning,) = warnings_of(tmp_path, feet)
@@ -106,7 +106,7 @@ def test_mountains_in_unlabelled_feet_are_told_with_their_share(tmp_path):
     assert warnings_of(tmp_path, feet, units="ft") == ()
 
 
-def test_one_value_of_our_own_is_a_sentinel_or_another_unit(tmp_path):
+def test_arbitrary_sentinel_suggests_nodata_or_another_unit(tmp_path):
     heights = hills(SIDE, SIDE)
     heights[50:60, 50:60] = 12345.0
     (warning,) = warnings_of(tmp_path, heights)
@@ -116,7 +116,7 @@ def test_one_value_of_our_own_is_a_sentinel_or_another_unit(tmp_path):
 
 
 def test_scaled_cells_are_judged_in_metres(tmp_path):
-    """Centimetres in whole numbers: a sentinel among them is that of the cells as the file has them."""
+    """Cells are centimetres in whole numbers. The sentinel is a value of the unscaled cells."""
     counts = np.rint(hills(SIDE, SIDE) * 100.0).astype(np.int32)
     assert warnings_of(tmp_path, counts, scale=0.01) == ()
     counts[50:60, 50:60] = -9999
@@ -124,7 +124,7 @@ def test_scaled_cells_are_judged_in_metres(tmp_path):
     assert "are -9999, far" in warning
 
 
-def test_a_raster_without_any_height_on_earth_names_the_unit(tmp_path):
+def test_raster_without_any_plausible_height_names_the_unit(tmp_path):
     with pytest.raises(SourceError) as caught:
         warnings_of(tmp_path, hills(SIDE, SIDE, 30000.0, 90000.0))
     message = str(caught.value)

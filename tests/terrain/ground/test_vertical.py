@@ -1,4 +1,4 @@
-"""What a raster's numbers are as heights: units by their words and by vertical CRSs, and depths, which grow downwards."""
+"""Vertical references of rasters: units from band units and vertical CRSs, and depths, which grow downwards."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ def with_depth(path: Path, depths: np.ndarray, crs: str, **options) -> Path:
 
 
 def mount_under_water() -> np.ndarray:
-    """Depths: a plain 100 m down, a mount up to 20 m below the surface."""
+    """Return depths: a plain at 100 m and a seamount up to 20 m below the surface."""
     depths = np.full((64, 128), 100.0, np.float32)
     depths[30:34, 70:74] = 20.0
     return depths
 
 
 def mask_of(path: Path, **options) -> np.ndarray:
-    """The sun in the west, so high that 80 m throw a shadow of 120 m: 12 cells."""
+    """Return the shadow mask with the sun in the west, at an altitude where 80 m cast a shadow of 120 m, or 12 cells."""
     with skugga.open_level(path, **options) as level:
         return level.shade("mask", azimuth=270.0, altitude=float(np.degrees(np.arctan2(80.0, 120.0))))
 
@@ -70,7 +70,7 @@ def test_every_unit_has_words():
 
 
 @pytest.mark.parametrize("word", ["furlong", "degree", "m/s", "kPa", "metres below the sea", "%", "\N{DEGREE SIGN}"])
-def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path, word):
+def test_unknown_unit_is_rejected_with_the_known_ones(tmp_path, word):
     path = with_unit(tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), word)
     for read in (Elevation, Canopy):
         with pytest.raises(SourceError) as caught:
@@ -84,7 +84,7 @@ def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path, word):
 
 
 @pytest.mark.parametrize("word", ["", "unknown", "1", "None"])
-def test_words_that_state_no_unit_leave_metres(tmp_path, word):
+def test_empty_unit_words_mean_metres(tmp_path, word):
     elevation = Elevation(str(with_unit(tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), word)))
     assert (elevation.vertical.unit, elevation.vertical.unit_from, elevation.overview.lowest_m) == ("m", None, 2.0)
 
@@ -98,8 +98,8 @@ def test_words_that_state_no_unit_leave_metres(tmp_path, word):
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("horizontal", [32633, 4326])
-def test_vertical_crs_say_unit_and_direction(tmp_path, horizontal, vertical, unit, positive, version):
-    """GDAL leaves out that of a GeoTIFF 1.0 where it is not asked."""
+def test_vertical_crs_gives_unit_and_direction(tmp_path, horizontal, vertical, unit, positive, version):
+    """By default, GDAL does not report the vertical CRS of a GeoTIFF 1.0."""
     place = PLACE if horizontal == 32633 else (15.0, 47.0, 1e-4)
     path = write_geotiff(
         tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), f"EPSG:{horizontal}+{vertical}", *place, geotiff_version=version
@@ -112,7 +112,7 @@ def test_vertical_crs_say_unit_and_direction(tmp_path, horizontal, vertical, uni
 
 
 @pytest.mark.parametrize("crs", [f"{UTM}+5715", f"{UTM}+5831"])
-def test_a_mount_under_water_throws_its_shadow(tmp_path, crs):
+def test_seamount_casts_its_shadow(tmp_path, crs):
     depths = mount_under_water()
     mask = mask_of(with_depth(tmp_path / "depths.tif", depths, crs))
     assert (mask[31:33, 75:85] == 0).all() and (mask[31:33, 86:] == 255).all() and (mask[:, :69] == 255).all()
@@ -121,8 +121,8 @@ def test_a_mount_under_water_throws_its_shadow(tmp_path, crs):
 
 
 @pytest.mark.parametrize("crs", [f"{UTM}+5715", f"{UTM}+6360"])
-def test_heights_that_are_written_are_metres_upwards(tmp_path, crs):
-    """Not depths, nor feet, for the vertical CRS of what they come from."""
+def test_written_heights_are_metres_upwards(tmp_path, crs):
+    """The output has neither depths nor feet, whatever the vertical CRS of its input."""
     path = with_depth(tmp_path / "dem.tif", mount_under_water(), crs)
     out = tmp_path / "height.tif"
     with skugga.open_level(path) as level:
@@ -133,8 +133,8 @@ def test_heights_that_are_written_are_metres_upwards(tmp_path, crs):
     assert again.overview.lowest_m == pytest.approx(first.overview.lowest_m, abs=1e-3)
 
 
-def test_depths_in_feet_with_a_hole_are_those_in_metres(tmp_path):
-    """And with a nodata value beside them, so that a virtual raster takes the file's place."""
+def test_depths_in_feet_with_a_hole_equal_those_in_metres(tmp_path):
+    """The file has a nodata value, so that a virtual raster replaces it."""
     depths = mount_under_water()
     depths[5:9, 5:9] = -1.0
     feet = np.where(depths < 0, -1.0, depths / METRES_PER_UNIT["us-ft"]).astype(np.float32)
@@ -144,7 +144,7 @@ def test_depths_in_feet_with_a_hole_are_those_in_metres(tmp_path):
     assert (mask[5:9, 5:9] == 128).all()
 
 
-def test_a_level_turns_the_sign(tmp_path):
+def test_level_overrides_the_direction(tmp_path):
     depths = mount_under_water()
     mask = mask_of(with_depth(tmp_path / "depths.tif", depths, f"{UTM}+5715"))
     np.testing.assert_array_equal(mask, mask_of(with_depth(tmp_path / "plain.tif", depths, UTM), positive="down"))
@@ -154,7 +154,7 @@ def test_a_level_turns_the_sign(tmp_path):
 
 @pytest.mark.parametrize("tags", [{"positive": "down"}, {"standard_name": "sea_floor_depth_below_geoid"}])
 @pytest.mark.parametrize("nodata", [None, -1.0])
-def test_attributes_of_the_cf_conventions_say_that_depths_grow_down(tmp_path, tags, nodata):
+def test_cf_attributes_declare_depths(tmp_path, tags, nodata):
     path = with_depth(tmp_path / "depths.tif", mount_under_water(), UTM)
     with rasterio.open(path, "r+") as dataset:
         dataset.update_tags(1, **tags)
@@ -170,7 +170,7 @@ def test_arrays_of_heights_are_metres_whatever_their_crs():
         assert (mask[31:33, 75:85] == 0).all() and (mask[31:33, 86:] == 255).all(), crs
 
 
-def test_a_unit_that_contradicts_the_crs_is_told(tmp_path, make_scene):
+def test_unit_that_contradicts_the_crs_is_reported(tmp_path, make_scene):
     path = write_geotiff(tmp_path / "dem.tif", np.full((40, 40), 2.0, np.float32), f"{UTM}+6360", *PLACE)
     with rasterio.open(path, "r+") as dataset:
         dataset.units = ("m",)
@@ -179,7 +179,7 @@ def test_a_unit_that_contradicts_the_crs_is_told(tmp_path, make_scene):
     assert make_scene(path, terrain={"units": "us-ft"}).warnings == ()
 
 
-def test_a_canopy_in_decimetres_bears_trees_of_metres(tmp_path):
+def test_canopy_in_decimetres_has_heights_in_metres(tmp_path):
     raster = np.zeros((20, 20), np.float32)
     raster[10, 10] = 150.0
     canopy = Canopy(str(with_unit(tmp_path / "chm.tif", raster, "dm")))

@@ -1,4 +1,4 @@
-"""What a map shows of a raster: never less than its pixels are made of, hardly more, and all of it for a block of tiles."""
+"""Raster cells that a map shows: all cells of its pixels, few others, and the whole raster for a block of tiles."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def scene(tmp_path_factory):
 @given(
     st.floats(12.0, 12.16), st.floats(60.95, 61.0), st.floats(0.001, 0.2), st.sampled_from(["EPSG:32633", "EPSG:4326", "EPSG:3857"])
 )
-def test_all_cells_of_its_pixels_are_among_them(scene, lon: float, lat: float, side: float, crs: str):
+def test_visible_cells_contain_all_cells_of_the_pixels(scene, lon: float, lat: float, side: float, crs: str):
     from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
 
     x, y = transformer(LONGITUDE_LATITUDE, scene._crs(crs)).transform([lon - side, lon + side], [lat - side / 2, lat + side / 2])
@@ -41,7 +41,7 @@ def test_all_cells_of_its_pixels_are_among_them(scene, lon: float, lat: float, s
     if cells is None:
         assert not buffer.valid.any()
         return
-    # Heights say which cell they are of: 100 for a row, 1 for a column; coarser pixels are means.
+    # Heights encode the cell: 100 per row and 1 per column. Coarser pixels are means.
     (first, last), (left, right) = cells
     height = buffer.height_m[buffer.valid]
     assert ((height >= 100.0 * first + left - 101.0) & (height <= 100.0 * last + right + 101.0)).all()
@@ -49,21 +49,21 @@ def test_all_cells_of_its_pixels_are_among_them(scene, lon: float, lat: float, s
     assert 0 <= rows.start < rows.stop <= 7 and 0 <= cols.start < cols.stop <= 10
 
 
-def test_a_small_window_shows_few(scene):
+def test_small_window_shows_few_cells(scene):
     view = scene.view(bounds=(12.08, 60.97, 12.084, 60.972), crs="EPSG:4326", size=(32, 32))
     (first, last), (left, right) = visible_cells(scene.elevation, view)
     assert last - first < 6.0 and right - left < 6.0
     assert first < 28.0 < last and left < 41.0 < right
 
 
-def test_a_window_beside_the_raster_shows_none(scene):
+def test_window_beside_the_raster_shows_no_cells(scene):
     assert (
         visible_cells(scene.elevation, map_view(scene.world, LONGITUDE_LATITUDE, (13.0, 60.0, 13.1, 60.1), rows=32, cols=32))
         is None
     )
 
 
-def test_a_block_of_tiles_stands_for_the_level(scene):
+def test_block_of_tiles_shows_the_whole_raster(scene):
     small = scene.view(bounds=(12.08, 60.97, 12.084, 60.972), crs="EPSG:4326", size=(32, 32))
     block = replace(small, row0=float(-BLOCK_PX), col0=0.0, row_step=1.0, col_step=1.0, rows=BLOCK_PX, cols=BLOCK_PX)
     assert is_block(block) and not is_block(small)

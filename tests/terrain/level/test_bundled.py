@@ -1,4 +1,4 @@
-"""Bundled rasters: real ground lies where it is on the earth, and is as high as there."""
+"""Bundled rasters: the highest cell has the published position and height of its summit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from skugga.terrain.level.level import load_level
 
 @dataclass(frozen=True)
 class Summit:
-    """The highest place of a raster's ground, as it is published: degrees, and metres above the sea."""
+    """The published summit of a raster: degrees, and metres above the sea."""
 
     longitude: float
     latitude: float
@@ -29,24 +29,25 @@ CROSS_MOUNTAIN = Summit(-84.23056, 36.19833, 1077.0)
 SUMMITS = {"jacksboro": CROSS_MOUNTAIN, "jacksboro_utm": CROSS_MOUNTAIN}
 
 SRTM_CELL_DEG = 3.0 / 3600.0
-"""Heights that are warped to finer cells know a summit's place no better."""
+"""Warping to finer cells does not improve the position of a summit."""
 
 MAX_CELLS = 1.0
-"""How far the highest cell may lie from the summit, in either direction: half a cell to the cell's centre, a sixth for a place that
-is published in whole seconds, a fifth for the 20 m within which 90 % of SRTM's heights lie (its specification)."""
+"""Maximum distance of the highest cell from the summit, along either axis: half a cell to the cell's centre, a sixth for a position
+published in whole seconds, and a fifth for the 20 m within which 90 % of SRTM's heights lie (its specification).
+"""
 
 MAX_M = 16.0
-"""Within which 90 % of SRTM's heights are right (its specification)."""
+"""90 % of SRTM's heights have a smaller error (its specification)."""
 
 
-def test_the_summit_of_every_bundled_raster_is_known():
+def test_every_bundled_raster_has_a_known_summit():
     assert set(SUMMITS) == set(BUNDLED)
     of_levels = {load_level(path).source for path in bundled_levels()} - {""}
     assert of_levels and of_levels <= set(SUMMITS), "a level over another real raster needs a summit too"
 
 
 @pytest.mark.parametrize("name", BUNDLED)
-def test_the_highest_cell_is_the_published_summit(name):
+def test_highest_cell_is_the_published_summit(name):
     summit = SUMMITS[name]
     with BUNDLED[name]().open() as dataset:
         heights_m = dataset.read(1)
@@ -57,8 +58,8 @@ def test_the_highest_cell_is_the_published_summit(name):
     assert abs(heights_m[row, col] - summit.height_m) <= MAX_M
 
 
-def test_srtm_heights_lie_where_srtm_measured():
-    """At whole multiples of 3 arc seconds: half a cell aside would not show at a summit."""
+def test_srtm_cells_are_centred_on_whole_arc_seconds():
+    """SRTM samples lie at whole multiples of 3 arc seconds. The summit test cannot detect an offset of half a cell."""
     with BUNDLED["jacksboro"]().open() as dataset:
         middle = dataset.shape[0] // 2, dataset.shape[1] // 2
         steps = np.array([*dataset.xy(0, 0), *dataset.xy(*middle)]) / SRTM_CELL_DEG

@@ -1,4 +1,4 @@
-"""Camera files: what they say, and what each wrong one is told."""
+"""Camera files: their content, and an error message for each kind of mistake."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def read(tmp_path, text: str):
     return load_camera_path(path)
 
 
-def test_a_file_says_keys_and_a_size(tmp_path):
+def test_camera_file_has_keys_and_a_size(tmp_path):
     found = read(tmp_path, f"size: [64, 48]\nkeys:\n- {KEY}\n- {{at: 1.5m, eye: [1, 2, 3], target: [4, 5, 6], fov: 30}}\n")
     assert found.size == (64, 48) and found.times_s(None) == (0.0, 90.0)
     assert (found.keys[0].fov, found.keys[1].fov, found.keys[1].eye) == (50.0, 30.0, (1.0, 2.0, 3.0))
 
 
-def test_dates_with_and_without_quotes_are_the_same(tmp_path):
+def test_quoted_and_unquoted_dates_are_equal(tmp_path):
     dated = "- {{at: {}, eye: [0, 0, 5], target: [9, 9, 0]}}\n"
     times = "2024-10-21T16:30:00-04:00", '"2024-10-21T17:30:00-04:00"'
     found = read(tmp_path, "keys:\n" + "".join(map(dated.format, times)))
@@ -60,7 +60,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_what_is_wrong_is_told_in_one_line_that_names_the_key(tmp_path, text):
+def test_camera_file_error_names_the_key_in_one_line(tmp_path, text):
     key, words = WRONG[text]
     with pytest.raises(LevelError) as caught:
         read(tmp_path, text)
@@ -68,13 +68,13 @@ def test_what_is_wrong_is_told_in_one_line_that_names_the_key(tmp_path, text):
     assert "\n" not in str(caught.value)
 
 
-def test_several_wrong_keys_are_told_together(tmp_path):
+def test_several_wrong_keys_are_reported_together(tmp_path):
     with pytest.raises(LevelError) as caught:
         read(tmp_path, f"keys: [{KEY}, {{at: soon, eye: [0, 0, 5], target: [9, 9]}}]")
     assert [error.name.rpartition(": ")[2] for error in (caught.value, *caught.value.others)] == ["keys.1.at", "keys.1.target"]
 
 
-def test_no_file_too_long_a_file_and_what_is_no_text(tmp_path):
+def test_missing_long_and_binary_camera_files_are_rejected(tmp_path):
     with pytest.raises(LevelError, match="No such file"):
         load_camera_path(tmp_path / "none.yaml")
     with pytest.raises(LevelError, match="folder"):
@@ -89,11 +89,11 @@ def test_no_file_too_long_a_file_and_what_is_no_text(tmp_path):
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("0s", 0.0), ("0.04s", 0.04), (" 10m ", 600.0), ("1.5h", 5400.0), ("2d", 172800.0)])
-def test_lengths_of_time(text, seconds):
+def test_parse_duration_reads_numbers_with_units(text, seconds):
     assert parse_duration(text) == timedelta(seconds=seconds)
 
 
 @pytest.mark.parametrize("text", ["", "5", "-5s", "5 s", "1e3s", "5min", "١s", "1234567s", "infs"])
-def test_what_is_no_length_of_time(text):
+def test_parse_duration_rejects_other_texts(text):
     with pytest.raises(ValueError, match="a number and a unit, s, m, h or d, such as 15m"):
         parse_duration(text)

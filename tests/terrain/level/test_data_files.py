@@ -1,4 +1,4 @@
-"""What may be opened as data, and where it leads: regular files alone, and no other machine unless it is allowed."""
+"""Data files and their links: only regular files are opened, and remote sources need permission."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def folder(tmp_path):
 
 @pytest.mark.parametrize("kind", ["a pipe", "a device", "a folder"])
 @pytest.mark.parametrize("reader", READERS)
-def test_what_is_no_regular_file_is_refused_before_it_is_opened(tmp_path, kind, reader):
+def test_special_files_are_rejected_before_they_are_opened(tmp_path, kind, reader):
     path = tmp_path / ("mill.obj" if reader == "model" else "data")
     if kind == "a pipe":
         os.mkfifo(path)
@@ -66,13 +66,13 @@ def test_what_is_no_regular_file_is_refused_before_it_is_opened(tmp_path, kind, 
     assert special_file_kind(path) == kind and not is_raster(path)
 
 
-def test_a_regular_file_and_nothing_are_of_no_special_kind(folder):
+def test_regular_and_missing_files_are_not_special(folder):
     assert special_file_kind(folder / "dem.tif") is None
     assert special_file_kind(folder / "absent") is None
     assert special_file_kind("a\0b") is None
 
 
-def test_a_model_may_not_lead_to_a_device(tmp_path):
+def test_model_may_not_refer_to_a_device(tmp_path):
     (tmp_path / "mill.obj").write_text("mtllib mill.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "mill.mtl").write_text("newmtl wall\nmap_Kd wall.png\n")
     (tmp_path / "wall.png").symlink_to("/dev/zero")
@@ -94,11 +94,11 @@ def test_virtual_rasters_of_files_are_read(folder):
         (vrt("/etc/passwd", 'subClass="VRTRawRasterBand"'), "raw bytes"),
         (vrt("dem.tif", 'subClass="VRTDerivedRasterBand"', "<PixelFunctionLanguage> Python </PixelFunctionLanguage>"), "Python"),
         (vrt("/dev/zero", relative=0), "/dev/zero, a device"),
-        (vrt("&lt;VRTDataset/&gt;"), "contains another one as text"),
+        (vrt("&lt;VRTDataset/&gt;"), "contains another virtual file as text"),
     ],
     ids=["raw", "python", "device", "inside"],
 )
-def test_virtual_rasters_that_read_anything_or_run_code_are_refused(folder, text, said):
+def test_unsafe_virtual_rasters_are_rejected(folder, text, said):
     (folder / "bad.vrt").write_text(text)
     (folder / "of_bad.vrt").write_text(vrt("bad.vrt"))
     for name in ("bad.vrt", "of_bad.vrt"):
@@ -108,7 +108,7 @@ def test_virtual_rasters_that_read_anything_or_run_code_are_refused(folder, text
             check_geodata(str(folder / name))
 
 
-def test_files_that_lead_to_one_another_have_an_end(folder):
+def test_linked_files_ends_on_a_cycle(folder):
     (folder / "a.vrt").write_text(vrt("b.vrt"))
     (folder / "b.vrt").write_text(vrt("a.vrt"))
     assert linked_files(str(folder / "a.vrt")) == (str(folder / "b.vrt"),)
@@ -133,14 +133,14 @@ REMOTE = {
 
 
 @pytest.mark.parametrize("name", REMOTE)
-def test_addresses_are_found_wherever_a_file_states_them(folder, name):
+def test_linked_files_finds_addresses_in_any_format(folder, name):
     for each, text in REMOTE.items():
         (folder / each).write_text(text)
     assert any(ADDRESS in link for link in linked_files(str(folder / name)))
 
 
 @pytest.mark.parametrize("name", REMOTE)
-def test_a_service_serves_no_level_that_leads_to_other_machines(folder, name):
+def test_service_rejects_levels_with_remote_sources(folder, name):
     for each, text in REMOTE.items():
         (folder / each).write_text(text)
     for keys in ({"terrain": {"source": name}}, {"terrain": {"source": "dem.tif"}, "meshes": [{"source": name, "height": 3}]}):
@@ -149,7 +149,7 @@ def test_a_service_serves_no_level_that_leads_to_other_machines(folder, name):
             ServedLevels([folder / "level.yaml"])
 
 
-def test_a_service_serves_virtual_rasters_of_files(folder):
+def test_service_serves_virtual_rasters_of_files(folder):
     served = ServedLevels([folder / "twice.vrt"])
     assert [level.name for level in served.known()] == ["twice"]
 
@@ -162,7 +162,7 @@ def test_a_service_serves_virtual_rasters_of_files(folder):
         f"<kml xmlns='http://www.opengis.net/kml/2.2'><Document><description>{ADDRESS}</description></Document></kml>",
     ],
 )
-def test_addresses_that_are_mere_data_lead_nowhere(tmp_path, text):
+def test_addresses_in_plain_data_are_no_links(tmp_path, text):
     path = tmp_path / ("a.kml" if text.startswith("<") else "a.geojson")
     path.write_text(text)
     assert linked_files(str(path)) == ()
@@ -185,7 +185,7 @@ print(rasterio.open("dem.tif").read(1).sum(), rasterio.open("twice.vrt").read(1)
 """
 
 
-def test_gdal_does_not_tell_of_drivers_that_it_lacks():
+def test_gdal_guard_does_not_warn_about_missing_drivers():
     """Wheels of pyogrio have no PostgreSQL driver to skip."""
     code = "from skugga.terrain.level.gdal_guard import forbid_remote_reads as f; f(); import rasterio, pyogrio"
     environment = {name: value for name, value in os.environ.items() if name != "CPL_LOG"}
@@ -197,7 +197,7 @@ def test_gdal_does_not_tell_of_drivers_that_it_lacks():
 
 
 @pytest.mark.parametrize("guarded", ["yes", "no"])
-def test_gdal_itself_asks_no_other_machine_when_that_is_forbidden(folder, guarded):
+def test_gdal_guard_stops_all_requests_of_gdal(folder, guarded):
     asked = []
 
     class Handler(BaseHTTPRequestHandler):
@@ -233,5 +233,5 @@ def test_gdal_itself_asks_no_other_machine_when_that_is_forbidden(folder, guarde
     found = {path.split("/")[1].split("?")[0] for path in asked}
     if guarded == "yes":
         assert not asked
-    else:  # else the test could not fail
+    else:  # without the guard GDAL sends requests; otherwise the test could not fail
         assert {"a.vrt", "crs.geojson", "plain.tif"} <= found, found

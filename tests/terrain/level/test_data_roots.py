@@ -1,4 +1,4 @@
-"""Where roots are given, a level is read from them alone, however its files lead elsewhere."""
+"""Data roots: a level reads only files below its roots, whatever links lead elsewhere."""
 
 import json
 import os
@@ -47,7 +47,7 @@ def level_of(path: Path, source: str, **keys) -> Path:
 
 @pytest.fixture
 def inside(tmp_path: Path) -> Path:
-    """A folder of levels, with a raster in it; beside it lies ``outside/secret.tif``."""
+    """Create a folder of levels that contains a raster, next to ``outside/secret.tif``."""
     for name in ("inside", "outside"):
         (tmp_path / name).mkdir()
     raster(tmp_path / "outside" / "secret.tif")
@@ -97,7 +97,7 @@ def by_a_virtual_raster(inside: Path) -> None:
 
 
 def by_the_working_folder(inside: Path) -> None:
-    """A name that is relative to the folder that the service was started in."""
+    """Use a path relative to the working folder of the service."""
     (inside / "parts.vrt").write_text(VRT.format(relative=0, name=os.path.relpath(secret(inside))), encoding="utf-8")
     level_of(inside / "level.yaml", "parts.vrt")
 
@@ -108,7 +108,7 @@ def by_a_part_of_a_file(inside: Path) -> None:
 
 
 def by_metadata(inside: Path) -> None:
-    """Overviews that the raster itself says to be elsewhere."""
+    """Use an overview file that the metadata of the raster refers to."""
     small = raster(inside.parent / "outside" / "small.tif", 32)
     with rasterio.open(inside / "dem.tif", "r+") as dataset:
         dataset.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=str(small))
@@ -116,7 +116,7 @@ def by_metadata(inside: Path) -> None:
 
 
 def by_a_header(inside: Path) -> None:
-    """The bytes of any file as heights."""
+    """Read the bytes of any file as heights."""
     (inside / "raw.ers").write_text(HEADER.format(name="../outside/secret.tif"), encoding="utf-8")
     level_of(inside / "level.yaml", "raw.ers")
 
@@ -151,7 +151,7 @@ WAYS = (
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize("lead_out", WAYS, ids=lambda way: way.__name__)
 def test_no_level_of_a_folder_leads_out_of_it(inside: Path, lead_out: Callable[[Path], None], caplog: pytest.LogCaptureFixture):
-    """Even where addresses are allowed. The other levels are served."""
+    """Links out of the folder fail even with remote sources allowed. The other levels are served."""
     lead_out(inside)
     level_of(inside / "right.yaml", "dem.tif" if lead_out not in (by_linked_overview, by_metadata) else "other.tif")
     raster(inside / "other.tif")
@@ -163,22 +163,22 @@ def test_no_level_of_a_folder_leads_out_of_it(inside: Path, lead_out: Callable[[
 
 
 @pytest.mark.parametrize("lead_out", [by_path, by_link, by_linked_level, by_linked_overview], ids=lambda way: way.__name__)
-def test_a_render_process_looks_at_them_too(inside: Path, lead_out: Callable[[Path], None]):
-    """It reads the level by itself, which may have changed since."""
+def test_worker_checks_data_roots_too(inside: Path, lead_out: Callable[[Path], None]):
+    """A worker reads the level itself, and the level may have changed."""
     lead_out(inside)
     with pytest.raises(LevelError, match="lies outside the folders of levels"):
         load_level(LevelSource(path=inside / "level.yaml", roots=(inside,)))
 
 
 @pytest.mark.parametrize("lead_out", [by_path, by_link, by_linked_folder, by_a_virtual_raster, by_metadata])
-def test_other_folders_may_be_allowed(inside: Path, lead_out: Callable[[Path], None]):
+def test_data_roots_allow_other_folders(inside: Path, lead_out: Callable[[Path], None]):
     lead_out(inside)
     level = ServedLevels([inside / "level.yaml"], data_roots=[inside.parent / "outside"]).get("level")
     assert level.key.roots is not None and inside.parent / "outside" in level.key.roots
 
 
-def test_what_is_named_and_lies_beside_is_allowed(inside: Path):
-    """Also below, by links within the folder, and where a file that is named is a link itself."""
+def test_files_below_the_level_folder_are_allowed(inside: Path):
+    """Subfolders, links within the folder, and a named level that is itself a link are allowed."""
     (inside / "data").mkdir()
     raster(inside / "data" / "far.tif")
     (inside / "near.tif").symlink_to(inside / "data" / "far.tif")
@@ -191,12 +191,12 @@ def test_what_is_named_and_lies_beside_is_allowed(inside: Path):
     assert ServedLevels([secret(inside)]).names() == ["secret"]
 
 
-def test_whoever_gives_no_roots_reads_from_anywhere(inside: Path):
+def test_without_roots_any_file_is_read(inside: Path):
     by_path(inside)
     assert load_level(inside / "level.yaml").name == "level"
 
 
-def test_a_message_says_where_it_leads_and_what_is_allowed(inside: Path):
+def test_data_root_error_names_target_and_remedy(inside: Path):
     by_link(inside)
     level_of(inside / "level.yaml", str(inside / "linked.tif"))
     with pytest.raises(LevelError) as caught:

@@ -1,4 +1,4 @@
-"""What GDAL may keep: said once in a parent's environment, before what it starts; what a user says goes before."""
+"""GDAL cache limits: set in the environment of the parent process for its workers, unless the user has set them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PARENTS = {
 
 
 def limits_in_a_worker(folder, parent: str, **said: str) -> list[list[str]]:
-    """The limits in the environment of a process that a parent starts, and as GDAL has them there."""
+    """Return the limits in the environment of a child process, and the values that GDAL uses there."""
     script = folder / "parent.py"
     script.write_text(IN_A_WORKER.replace("PARENT", parent), encoding="utf-8")
     environment = {name: value for name, value in os.environ.items() if name not in CACHE_LIMITS} | said
@@ -48,18 +48,18 @@ def limits_in_a_worker(folder, parent: str, **said: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("parent", PARENTS.values(), ids=PARENTS)
-def test_workers_have_the_limits_that_their_parent_said(tmp_path, parent):
+def test_workers_inherit_the_limits_of_their_parent(tmp_path, parent):
     environment, gdal = limits_in_a_worker(tmp_path, parent)
     assert environment == list(CACHE_LIMITS.values())
     assert gdal == [str(128 * 2**20), *list(CACHE_LIMITS.values())[1:]]
 
 
-def test_what_the_user_says_goes_before(tmp_path):
+def test_limits_of_the_user_take_precedence(tmp_path):
     environment, gdal = limits_in_a_worker(tmp_path, PARENTS["the service's pool"], GDAL_CACHEMAX="64")
     assert environment == ["64", *list(CACHE_LIMITS.values())[1:]] and gdal[0] == str(64 * 2**20)
 
 
-def test_the_command_line_says_them_before_all_else(tmp_path):
+def test_command_line_sets_the_limits(tmp_path):
     script = "import os, sys; sys.argv = ['skugga', '--version']; from skugga.api.cli.main import main\n"
     script += "try: main()\nexcept SystemExit: pass\n"
     script += "print([os.environ[name] for name in sys.stdin.read().split()])"

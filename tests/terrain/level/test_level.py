@@ -1,4 +1,4 @@
-"""Level files: what is read, and one clear message for each way to be wrong."""
+"""Level files: valid content, and one clear message for each mistake."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def level(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def test_names_are_the_registries():
+def test_schema_names_equal_the_registries():
     assert list(ALGORITHMS) == ALGORITHM_NAMES
     assert set(get_args(EffectName)) == set(EFFECTS)
 
@@ -78,7 +78,7 @@ def test_bundled_levels_load():
         ("[" * 3000, "my.yaml", "nested lists and mappings", "well-formed YAML"),
     ],
 )
-def test_a_wrong_level_names_file_key_value_and_what_is_allowed(tmp_path, text, key, value, allowed):
+def test_level_error_names_file_key_value_and_allowed_values(tmp_path, text, key, value, allowed):
     with pytest.raises(LevelError) as caught:
         load_level(level(tmp_path, text))
     message = str(caught.value)
@@ -88,7 +88,7 @@ def test_a_wrong_level_names_file_key_value_and_what_is_allowed(tmp_path, text, 
         assert part in message, message
 
 
-def test_all_that_is_wrong_is_told_at_once(tmp_path):
+def test_all_errors_of_a_level_are_reported_at_once(tmp_path):
     text = (
         "version: 2\ntitel: x\nterrain: {sourc: jacksboro, units: yards}\n"
         "forest: [{source: a.geojson, densty: 3}, {source: b.geojson, height: [30, 2]}]\nsun: {azimut: 3, altitude: 99}\n"
@@ -115,12 +115,12 @@ def test_all_that_is_wrong_is_told_at_once(tmp_path):
     assert "3 items" not in said["views.a.eye"] and ": missing." in said["views.a.eye"]
 
 
-def test_a_key_like_no_other_gets_the_list_alone(tmp_path):
+def test_unknown_key_without_a_match_lists_allowed_keys(tmp_path):
     with pytest.raises(LevelError, match=r"my\.yaml: zzz: unknown key\. Allowed keys: version, title"):
         load_level(level(tmp_path, GOOD + "zzz: 1\n"))
 
 
-def test_a_missing_level_and_one_that_is_no_text(tmp_path):
+def test_missing_and_binary_levels_are_rejected(tmp_path):
     with pytest.raises(LevelError, match="No such file"):
         load_level(tmp_path / "absent.yaml")
     (tmp_path / "b.yaml").write_bytes(b"\xff\xfe\x00\x01")
@@ -128,7 +128,7 @@ def test_a_missing_level_and_one_that_is_no_text(tmp_path):
         load_level(tmp_path / "b.yaml")
 
 
-def test_overrides_are_spelt_out():
+def test_overrides_are_expanded():
     assert expand_override("auto") == {}
     every = {"relief": "shadow_map", "meshes": "shadow_map", "forest": "shadow_map"}
     assert expand_override("shadow_map") == {"sun": every}
@@ -140,14 +140,14 @@ def test_overrides_are_spelt_out():
     for text in ("sweep", "relief=sweep,forest=shadow_map,lamp=none"):
         assert spelt(parse_algorithm(text)) == text
     with pytest.raises(PydanticCustomError, match="relief"):
-        expand_override(parse_algorithm("leaves=shadow_map"))  # may be a light's name: the level knows
+        expand_override(parse_algorithm("leaves=shadow_map"))  # "leaves" may be the name of a light, which only the level can tell
     with pytest.raises(InputError, match=", ".join([*ALGORITHM_NAMES, "auto"])):
         parse_algorithm("sweeep")
 
 
-def test_suns_of_parameters():
+def test_parse_sun_reads_request_parameters():
     assert parse_sun(None, None, None) is None
-    given = parse_sun("2024-06-01T12:00:00 02:00", None, None)  # a "+" that a query turned into a space
+    given = parse_sun("2024-06-01T12:00:00 02:00", None, None)  # a query decodes "+" as a space
     assert given is not None and given.time is not None and given.time.utcoffset().total_seconds() == 7200
     for wrong, name in (
         (("yesterday", None, None), "time"),

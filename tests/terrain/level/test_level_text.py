@@ -1,4 +1,4 @@
-"""The text of level files: what is small on paper must not be large in memory, nor reach a terminal as commands."""
+"""Text of level files: bounded size after alias expansion, and no control characters in messages."""
 
 from __future__ import annotations
 
@@ -47,23 +47,23 @@ def level(tmp_path):
     ],
     ids=["lists", "merges", "chain", "itself", "brackets", "dashes", "values", "escape", "surrogate", "key"],
 )
-def test_what_would_harm_is_refused_in_one_short_line(level, text, said):
+def test_harmful_level_text_is_rejected_in_one_short_line(level, text, said):
     with pytest.raises(LevelError) as caught:
         load_level(level(HEAD + text))
     message = str(caught.value)
     assert said in message and "line " in message and len(message) < 500 and message.isprintable()
 
 
-def test_anchors_aliases_and_merges_are_understood():
+def test_anchors_aliases_and_merges_are_expanded():
     text = "a: &a {x: 1, y: [1, 2]}\nb: {<<: *a, x: 3}\nc: [*a, *a]\n"
     a = {"x": 1, "y": [1, 2]}
     assert parse_level_text(text) == {"a": a, "b": {"x": 3, "y": [1, 2]}, "c": [a, a]}
 
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=5))
-def test_aliases_count_as_what_they_stand_for(widths):
+def test_aliases_count_with_their_expanded_values(widths):
     lines, count = ["a0: &a0 1"], 1
-    expected = 3  # the whole, the first key and its value
+    expected = 3  # the root mapping, the first key and its value
     for number, width in enumerate(widths, start=1):
         lines.append(f"a{number}: &a{number} [{','.join([f'*a{number - 1}'] * width)}]")
         count = 1 + width * count
@@ -75,13 +75,13 @@ def test_aliases_count_as_what_they_stand_for(widths):
             parse_level_text("\n".join(lines))
 
 
-def test_a_text_without_end_is_not_read_to_its_end(level):
+def test_level_text_has_a_maximum_length(level):
     with pytest.raises(LevelError, match="more than 16777216 characters"):
         load_level(level(HEAD + "title: " + "x" * MAX_CHARACTERS))
 
 
 @pytest.mark.parametrize("kind", ["pipe.yaml", "folder.yaml", "device.yaml"])
-def test_a_level_is_a_regular_file(tmp_path, kind):
+def test_level_must_be_a_regular_file(tmp_path, kind):
     path = tmp_path / kind
     if kind == "pipe.yaml":
         os.mkfifo(path)
@@ -93,25 +93,25 @@ def test_a_level_is_a_regular_file(tmp_path, kind):
         load_level(path)
 
 
-def test_a_message_shows_values_and_names_without_what_commands_a_terminal():
+def test_error_message_escapes_control_characters():
     error = InputError("\x1b[31mname", "a\x9bvalue\u202e\ud800", "no \x07")
     assert str(error) == "\\x1b[31mname: 'a\\x9bvalue\\u202e\\ud800' is not allowed. Allowed: no \\x07."
 
 
 @given(st.text(st.characters(), max_size=30))
-def test_printable_text_can_be_encoded_and_has_one_line(text):
+def test_printable_text_is_encodable_and_one_line(text):
     shown = printable(text)
     shown.encode()
     assert len(shown.splitlines()) <= 1 and "\x1b" not in shown
     assert printable(shown) == shown
 
 
-def test_ordinary_text_is_printable_as_it_is():
+def test_printable_keeps_ordinary_text():
     for text in ("Großer Ötscher, 1893 m", "伊吹山", "a 'b' \\c", "🌲"):
         assert printable(text) == text
 
 
-def test_a_file_whose_name_is_no_text_has_a_level_that_can_be_told(level, tmp_path):
+def test_level_name_of_an_undecodable_file_name_is_escaped(level, tmp_path):
     path = level(HEAD)
     strange = os.fsencode(tmp_path) + b"/\xff\x1b.yaml"
     os.rename(path, strange)
@@ -120,13 +120,13 @@ def test_a_file_whose_name_is_no_text_has_a_level_that_can_be_told(level, tmp_pa
     json.dumps(loaded.name, ensure_ascii=False).encode()
 
 
-def test_of_thousands_of_errors_a_hundred_are_told(level):
+def test_at_most_a_hundred_errors_are_reported(level):
     with pytest.raises(LevelError) as caught:
         load_level(level(HEAD + "forest: [" + "{source: 1}," * 2_000 + "]"))
     lines = str(caught.value).split("\n")
     assert len(lines) == 101 and lines[0].startswith(str(level("", "x").parent)) and lines[-1].endswith("more are wrong")
 
 
-def test_all_of_a_few_errors_are_told():
+def test_all_of_a_few_errors_are_reported():
     errors = [InputError(f"n{n}", n, "other") for n in range(100)]
     assert len(str(combined_error(errors)).split("\n")) == 100

@@ -1,4 +1,4 @@
-"""Paths in level files: what is taken, and what is refused in one line that names the key, the value and what is allowed."""
+"""Motion paths in level files: valid content, and one-line errors with the key, its value and the allowed values."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def of_lamp(*path: dict, kind: str = "omni", own: dict | None = None, **keys: An
     return {"lights": {"lamp": {"kind": kind, **(own or {}), "motion": {"path": list(path), **keys}}}}
 
 
-def test_what_moves_is_listed_by_its_key(tmp_path):
+def test_moving_keys_lists_everything_in_motion(tmp_path):
     meshes = [
         {"generate": "rocks"}, {"generate": "rocks", "motion": {"spin": 3}}, {"generate": "rocks", "motion": {"spin": 0}},
         {"generate": "rocks", "motion": MOVING},
@@ -46,7 +46,7 @@ def test_what_moves_is_listed_by_its_key(tmp_path):
     assert loaded(tmp_path, meshes=meshes[:1], weather={"cloud_cover": 1.0}).moving_keys == ()
 
 
-def test_a_height_that_is_left_out_is_the_ground_s(tmp_path):
+def test_omitted_height_of_a_path_key_is_on_the_ground(tmp_path):
     loop = of_mesh(
         {"seconds": 0, "position": [3, 4]}, BACK, {"seconds": 20, "position": [3, 4, 0]}, loop=True, face="along", spin=2
     )
@@ -97,14 +97,14 @@ def test_a_height_that_is_left_out_is_the_ground_s(tmp_path):
         ({"lights": {"lamp": {"kind": "omni", "motion": {}}}}, "lights.lamp.motion.path", "missing. This key is required"),
     ],
 )  # fmt: skip
-def test_what_is_refused_says_why_in_one_line(tmp_path, parts, key, said):
+def test_motion_error_names_the_key_in_one_line(tmp_path, parts, key, said):
     with pytest.raises(LevelError) as caught:
         loaded(tmp_path, **parts)
     text = str(caught.value)
     assert text.startswith(f"{tmp_path}/level.yaml: {key}: ") and said in text and "\n" not in text, text
 
 
-def test_every_wrong_key_of_a_path_is_told(tmp_path):
+def test_every_wrong_key_of_a_path_is_reported(tmp_path):
     with pytest.raises(LevelError) as caught:
         loaded(tmp_path, **of_mesh(BACK, THERE, {"seconds": -4, "position": [0, 0]}))
     assert [line.split(": ")[1] for line in str(caught.value).split("\n")] == [f"meshes.0.motion.path.{n}.seconds" for n in (1, 2)]

@@ -1,4 +1,4 @@
-"""Where pins hold: the first of them counts, and none is there in vain."""
+"""Scopes of pins: the first matching pin applies, and a pin that can never apply is an error."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def loaded(path, *pins, **keys):
         ([{"view": "map", **SWEEP}, {"view": "village", **SWEEP}, SWEEP], ("shadows.pins.2", "shadows.pins.1 (view village)")),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_a_pin_is_one_error(tmp_path, pins, words):
+def test_invalid_pin_is_a_single_error(tmp_path, pins, words):
     with pytest.raises(LevelError) as error:
         loaded(tmp_path / "mine.yaml", *pins)
     text = str(error.value)
@@ -54,7 +54,7 @@ def test_what_is_wrong_with_a_pin_is_one_error(tmp_path, pins, words):
         assert word in text
 
 
-def test_the_first_pin_that_holds_counts(tmp_path):
+def test_first_matching_pin_applies(tmp_path):
     shadows = loaded(
         tmp_path / "mine.yaml",
         {"view": "village", "sun_altitude_deg": [5, 20], **SWEEP},
@@ -66,10 +66,10 @@ def test_the_first_pin_that_holds_counts(tmp_path):
     assert shadows.pins[1].settings == {"map_size": 512}
 
 
-def test_without_a_sun_only_a_pin_without_a_range_holds(tmp_path):
+def test_pin_without_a_range_applies_without_a_sun(tmp_path):
     path, pins = tmp_path / "mine.yaml", ({"sun_altitude_deg": [-90, 90], **SWEEP}, {"map_size": 512})
     assert loaded(path, *pins, sun="none").pin_number("map", None) == 1
-    with pytest.raises(LevelError, match=r"shadows\.pins\.1"):  # under any sun the first one holds
+    with pytest.raises(LevelError, match=r"shadows\.pins\.1"):  # with a sun, the first pin always matches
         loaded(path, *pins)
 
 
@@ -83,8 +83,8 @@ scopes = st.builds(
 
 
 @given(st.lists(scopes, max_size=6), st.booleans())
-def test_a_pin_is_in_vain_where_no_view_and_sun_is_left_for_it(pins, sunless):
-    """Against trying all views, and suns between the ends of all ranges."""
+def test_covered_pins_are_those_that_never_apply(pins, sunless):
+    """Compare with brute force over all views, with sun altitudes between all range limits."""
     suns = [*np.arange(-89.0, 90.0, 2.0), *([None] if sunless else [])]
     first = {
         (view, sun): next((number for number, pin in enumerate(pins) if pin.holds(view, sun)), None)

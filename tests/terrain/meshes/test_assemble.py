@@ -1,4 +1,4 @@
-"""Meshes on the ground: where they stand, how they turn, what casts for them, and what is refused."""
+"""Assembly of meshes: position, orientation, motion, caster meshes, and rejected input."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ FLOOR = {"flat": {"size": [200, 100], "cells": [20, 10]}}
 
 @pytest.fixture
 def scene_of(tmp_path):
-    """``scene_of(terrain, *meshes)``: the scene of a level; the files beside it are an arrow (12 triangles) and a ball (320)."""
+    """Return ``scene_of(terrain, *meshes)``, which builds the scene of a level.
+
+    The level's folder contains an arrow (12 triangles) and a ball (320 triangles).
+    """
     arrow = trimesh.creation.box(extents=(6, 2, 4))
     arrow.apply_translation((3, 0, 2))
     arrow.export(tmp_path / "arrow.ply")
@@ -47,17 +50,17 @@ def assembled(scene, seconds: float = 0.0):
 
 @pytest.fixture
 def hill(write_raster) -> Path:
-    """Rises 1 m per 10 m east from 100 m; 4 km a side."""
+    """Write a raster of 4 km a side that rises 1 m per 10 m east, from 100 m."""
     return write_raster(np.tile(np.arange(400, dtype=np.float32) + 100, (400, 1)), UTM, 500000, 5004000, 10)
 
 
-def test_a_level_without_meshes_has_no_solids(scene_of):
+def test_level_without_meshes_has_no_solids(scene_of):
     scene = scene_of(FLOOR)
     assert scene.objects.solids is None and not len(assembled(scene).triangles)
     assert not scene.objects.solid_crease.size and scene.objects.tallest_m == 0
 
 
-def test_a_model_stands_at_its_place_turned_and_scaled(scene_of):
+def test_model_is_placed_turned_and_scaled(scene_of):
     mesh = {"source": "arrow.ply", "at": [20, 10], "scale": 2, "turn": 90, "color": [0.5, 0.5, 0.5]}
     result = assembled(scene_of(FLOOR, mesh))
     np.testing.assert_allclose(result.vertices_earth_m.min(axis=0), [18, 10, 0], atol=1e-6)
@@ -77,7 +80,7 @@ def test_normals_turn_with_the_body(scene_of):
     assert result.corner_normals_earth.dtype == np.float32
 
 
-def test_a_spinning_model_turns_about_its_own_up_axis_by_the_clock(scene_of):
+def test_spinning_model_rotates_around_its_up_axis(scene_of):
     scene = scene_of(FLOOR, {"source": "arrow.ply", "at": [20, 10], "motion": {"spin": 30}})
     still, later, round_once = (assembled(scene, seconds) for seconds in (0.0, 3.0, 12.0))
     arm = still.vertices_earth_m - (20, 10, 0)
@@ -91,8 +94,8 @@ def along_a_path(scene_of, **motion):
     return scene_of(FLOOR, {"source": "arrow.ply", "turn": -90, "motion": {"path": keys, **motion}})
 
 
-def test_a_model_on_a_path_is_where_its_keys_say(scene_of):
-    """Turned by its turn alone: the arrow, which points east, to the south."""
+def test_model_on_a_path_follows_its_keys(scene_of):
+    """Without ``face``, only ``turn`` applies: the arrow, which points east, points south."""
     scene = along_a_path(scene_of)
     for seconds, origin in (
         (-9.0, (-40, -30, 0)),
@@ -107,8 +110,8 @@ def test_a_model_on_a_path_is_where_its_keys_say(scene_of):
     assert scene.at_second(4.0).objects.tallest_m == pytest.approx(6.5) and scene.loaded.level.moving_keys == ("meshes.0",)
 
 
-def test_what_faces_south_goes_first_along_a_path(scene_of):
-    """The arrow, turned to the south, points along its way: 4 east for 3 north; a spin turns it on from there."""
+def test_face_along_points_the_south_side_forward(scene_of):
+    """The arrow, turned to the south, points along its path: 4 east for 3 north. A spin adds to this direction."""
     ahead = np.array([0.8, 0.6, 0.0])
     for scene, seconds, way in (
         (along_a_path(scene_of, face="along"), 0.0, ahead),
@@ -127,7 +130,7 @@ def test_what_faces_south_goes_first_along_a_path(scene_of):
         np.testing.assert_allclose(result.corner_normals_earth, np.repeat(face[:, None], 3, axis=1), atol=1e-6)
 
 
-def test_all_bodies_of_a_mesh_and_what_stands_in_for_them_go_together(scene_of):
+def test_path_moves_all_bodies_and_their_casters(scene_of):
     keys = [{"seconds": 0, "position": [-40, -30]}, {"seconds": 8, "position": [40, 30, 5]}]
     scene = scene_of(FLOOR, {"generate": "tetrahedra", "caster": "arrow.ply", "motion": {"path": keys}})
     before, after = assembled(scene, 0.0), assembled(scene, 8.0)
@@ -137,8 +140,8 @@ def test_all_bodies_of_a_mesh_and_what_stands_in_for_them_go_together(scene_of):
     assert len(after.caster_triangles) == 12
 
 
-def test_a_path_begins_to_the_bit_where_a_model_would_stand(scene_of):
-    """So that a level whose mesh is set in motion keeps its picture at its first second."""
+def test_first_second_of_a_path_equals_the_static_model(scene_of):
+    """A level whose mesh is set in motion keeps its picture at the first second, bit for bit."""
     still = scene_of(FLOOR, {"source": "arrow.ply", "at": [20.1, 10.7], "motion": {"spin": 30}})
     keys = [{"seconds": 0, "position": [20.1, 10.7]}, {"seconds": 7, "position": [0, 0, 9]}]
     moving = scene_of(FLOOR, {"source": "arrow.ply", "motion": {"path": keys, "spin": 30}})
@@ -146,8 +149,8 @@ def test_a_path_begins_to_the_bit_where_a_model_would_stand(scene_of):
     np.testing.assert_array_equal(assembled(moving).corner_normals_earth, assembled(still).corner_normals_earth)
 
 
-def test_on_the_globe_a_model_on_a_path_stands_upright_on_its_ground(scene_of, hill):
-    """Up the hill, which rises by 1 m on 10: half-way between its keys, its nose to the east."""
+def test_model_on_a_path_is_upright_on_the_globe(scene_of, hill):
+    """Halfway up the hill, which rises 1 m per 10 m, the model stands on the ground with its nose to the east."""
     keys = [{"seconds": n * 10, "position": list(degrees_of(x, 5001000))} for n, x in enumerate((501000, 503000))]
     scene = scene_of({"source": str(hill)}, {"source": "arrow.ply", "turn": -90, "motion": {"path": keys, "face": "along"}})
     lon, lat = degrees_of(502000, 5001000)
@@ -169,18 +172,18 @@ def test_another_second_reads_no_file_again(scene_of, monkeypatch, tmp_path):
     monkeypatch.setattr("skugga.terrain.meshes.assemble.place_meshes", None)
     np.testing.assert_array_equal(later.solids.vertices_earth_m, assembled(scene, 3.0).vertices_earth_m)
     assert abs(later.solids.vertices_earth_m - at_rest.solids.vertices_earth_m).max() > 5
-    # The arrow has edges alone; facets of the shell, which is seen from inside, rise beside each other by some degrees.
+    # The arrow has only edges. Facets of the shell, which is seen from inside, differ by some degrees.
     assert later.solid_crease is at_rest.solid_crease and (at_rest.solid_crease[:12] == 0).all()
     assert 0.1 < at_rest.solid_crease[12:].min() and at_rest.solid_crease.max() < 0.5
 
 
-def test_meshes_without_motion_know_no_clock(scene_of):
+def test_meshes_without_motion_ignore_the_clock(scene_of):
     objects = scene_of(FLOOR, {"source": "ball.ply", "scale": 4}).objects
     assert objects.at_second(9.0) is objects
     assert objects.tallest_m == pytest.approx(8.0)
 
 
-def test_several_places_are_several_bodies(scene_of):
+def test_several_positions_are_several_bodies(scene_of):
     result = assembled(scene_of(FLOOR, {"source": "arrow.ply", "at": [[0, 0], [50, 20]]}, {"source": "ball.ply"}))
     assert result.closed == (True, True, True)
     assert np.bincount(result.body).tolist() == [12, 12, 320]
@@ -189,7 +192,7 @@ def test_several_places_are_several_bodies(scene_of):
     np.testing.assert_allclose(shift, np.tile([50, 20, 0], (8, 1)), atol=1e-9)
 
 
-def test_a_stand_in_casts_where_its_model_stands(scene_of):
+def test_caster_mesh_stands_in_place_of_its_model(scene_of):
     meshes = (
         {"source": "ball.ply", "at": [[10, 0], [-30, 5]], "scale": 3, "caster": "arrow.ply"},
         {"source": "arrow.ply", "at": [60, 0]},
@@ -202,13 +205,13 @@ def test_a_stand_in_casts_where_its_model_stands(scene_of):
     np.testing.assert_allclose(first.max(axis=0), [28, 3, 12], atol=1e-6)
 
 
-def test_a_generated_mesh_stands_on_the_anchor(scene_of):
+def test_generated_mesh_is_placed_at_its_position(scene_of):
     result = assembled(scene_of(FLOOR, {"generate": "tetrahedra", "at": [5, 5]}, {"generate": "tetrahedra"}))
     half = len(result.vertices_earth_m) // 2
     np.testing.assert_allclose(result.vertices_earth_m[:half] - (5, 5, 0), result.vertices_earth_m[half:], atol=1e-9)
 
 
-def test_on_the_globe_a_model_stands_upright_on_its_ground(scene_of, hill):
+def test_model_is_upright_on_the_globe(scene_of, hill):
     lon, lat = degrees_of(503000, 5001000)
     scene = scene_of({"source": str(hill)}, {"source": "arrow.ply", "at": [lon, lat]})
     result = assembled(scene)
@@ -220,7 +223,7 @@ def test_on_the_globe_a_model_stands_upright_on_its_ground(scene_of, hill):
     np.testing.assert_allclose(local.max(axis=0), [6, 1, 4], atol=1e-2)
 
 
-def test_without_a_place_a_model_stands_at_the_anchor(scene_of, hill):
+def test_model_without_a_position_stands_at_the_anchor(scene_of, hill):
     scene = scene_of({"source": str(hill)}, {"source": "ball.ply"})
     x, y, _ = scene.world.map_position(scene.elevation.crs, assembled(scene).vertices_earth_m.mean(axis=0))
     assert (float(x), float(y)) == pytest.approx((scene.world.anchor_x, scene.world.anchor_y), abs=0.01)
@@ -262,7 +265,7 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
         ({"source": "none.geojson", "height": 3}, SourceError, ["none.geojson", "no such file"]),
     ],
 )  # fmt: skip
-def test_what_is_refused_says_why_in_one_line(scene_of, mesh, kind, said):
+def test_mesh_error_names_the_key_in_one_line(scene_of, mesh, kind, said):
     scene = scene_of(FLOOR, mesh)
     if kind is None:
         assert assembled(scene) is not None
@@ -273,7 +276,7 @@ def test_what_is_refused_says_why_in_one_line(scene_of, mesh, kind, said):
     assert "\n" not in str(caught.value)
 
 
-def test_a_place_off_the_raster_names_its_bounds_in_degrees(scene_of, hill):
+def test_position_off_the_raster_names_bounds_in_degrees(scene_of, hill):
     with pytest.raises(LevelError, match=r"meshes\.0\.at: '\(15\.0, 46\.0\)' .* within 15\.0\d+, 45\.1\d+, 15\.0\d+, 45\.1\d+"):
         assembled(scene_of({"source": str(hill)}, {"source": "arrow.ply", "at": [15.0, 46.0]}))
     with pytest.raises(LevelError, match=r"meshes\.0\.at"):

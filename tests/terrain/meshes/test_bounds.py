@@ -1,4 +1,4 @@
-"""Files that are larger than they look: what takes long is done otherwise, what cannot be done is refused in one line."""
+"""Limits on input files: process large input in bounded time, and reject excessive input with a one-line error."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ UTM = "EPSG:32633"
 
 
 def courtyards(side: int) -> tuple[np.ndarray, np.ndarray]:
-    """A square with ``side`` x ``side`` square courtyards in rows and columns: corners (n, 2), and where each ring ends."""
+    """Return the corners (n, 2) and ring ends of a square with ``side`` x ``side`` square courtyards in rows and columns."""
     size = 4 * side + 4
     rings = [[(0, 0), (size, 0), (size, size), (0, size)]]
     for i in range(side):
@@ -41,7 +41,7 @@ def courtyards(side: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("side", [1, 3, 25])
-def test_a_roof_round_courtyards_in_rows_has_no_gap(side):
+def test_roof_around_rows_of_courtyards_has_no_gap(side):
     xy, ends = courtyards(side)
     roof = block_triangles.roof_triangles(xy, ends)
     assert len(roof) == len(xy) + 2 * (len(ends) - 1) - 2
@@ -54,7 +54,7 @@ def test_a_roof_round_courtyards_in_rows_has_no_gap(side):
     assert {edge for edge in edges if edge[::-1] not in edges} == ring_edges
 
 
-def test_the_middle_of_a_large_fan_is_shaded_face_by_face(monkeypatch):
+def test_centre_of_a_large_fan_is_shaded_flat(monkeypatch):
     angle = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
     rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(8)])
     tip = Body(np.vstack([[0.0, 0.0, 0.2], rim]), [(0, 1 + k, 1 + (k + 1) % 8) for k in range(8)], (0.5, 0.5, 0.5))
@@ -65,16 +65,16 @@ def test_the_middle_of_a_large_fan_is_shaded_face_by_face(monkeypatch):
     monkeypatch.setattr(body_module, "MAX_SMOOTHED", 7)
     crowded = Body(tip.vertices_m, tip.triangles, tip.albedo).corner_normals()
     np.testing.assert_allclose(crowded[:, 0], own, atol=1e-6)
-    np.testing.assert_allclose(crowded[:, 1:], tip.corner_normals()[:, 1:], atol=1e-6)  # fewer meet on the rim
+    np.testing.assert_allclose(crowded[:, 1:], tip.corner_normals()[:, 1:], atol=1e-6)  # fewer faces meet at the rim
 
 
 def test_many_equal_faces_take_no_pairs(tmp_path):
-    """300,000 faces on one another: pair by pair that is 9e10 looks at each of their corners."""
+    """There are 300,000 coincident faces: comparing all pairs would take 9e10 steps at each corner."""
     body = Body([(0, 0, 0), (1, 0, 0), (0, 1, 1)], np.tile([0, 1, 2], (300_000, 1)), (0.5, 0.5, 0.5))
     np.testing.assert_allclose(body.corner_normals()[[0, -1], 0], [[0.0, -(0.5**0.5), 0.5**0.5]] * 2, atol=1e-6)
 
 
-def test_faces_that_lie_on_one_another_are_one(tmp_path):
+def test_duplicate_faces_are_merged(tmp_path):
     path = tmp_path / "a.obj"
     faces = ["f 1 2 3\n", "f 2 3 1\n"] * 300 + ["f 3 2 1\n", "f 1 2 4\n"]
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 1\nv 0 0 1\n" + "".join(faces))
@@ -93,7 +93,7 @@ def geojson(tmp_path):
     return write
 
 
-def test_an_outline_that_crosses_itself_a_little_is_mended(geojson):
+def test_slightly_self_intersecting_outline_is_repaired(geojson):
     bow_tie = shapely.Polygon([(0, 0), (10, 10), (10, 0), (0, 10)])
     angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
     star = shapely.Polygon(np.column_stack([np.cos(7 * angle), np.sin(7 * angle)]) + 50.0)
@@ -103,14 +103,14 @@ def test_an_outline_that_crosses_itself_a_little_is_mended(geojson):
     assert 2.5 < shapely.area(features.geometry[1]) < np.pi
 
 
-def test_an_outline_that_is_a_scribble_is_refused(geojson):
-    """Mending it would take minutes: of the edges of 1,500 random corners half a million pairs cross."""
+def test_outline_with_too_many_crossings_is_rejected(geojson):
+    """A repair would take minutes: half a million pairs of the edges of 1,500 random corners cross."""
     scribble = shapely.Polygon(np.random.default_rng(1).uniform(0, 500, (1500, 2)))
     with pytest.raises(SourceError, match=f"cross themselves more than {vectors.MAX_CROSSINGS} times"):
         read_features(geojson(scribble), CRS.from_user_input(UTM))
 
 
-def test_outlines_round_the_earth_again_and_again_are_refused(geojson):
+def test_outlines_that_circle_the_earth_are_rejected(geojson):
     x = np.where(np.arange(2000) % 2, 170.0, -170.0)
     zigzag = shapely.LineString(np.column_stack([x, np.linspace(-60, 60, 2000)]))
     with pytest.raises(SourceError, match="points 0.01 units apart"):
@@ -118,7 +118,7 @@ def test_outlines_round_the_earth_again_and_again_are_refused(geojson):
 
 
 @pytest.mark.parametrize("name", ["MAX_CORNERS", "MAX_CORNERS_OF_ALL"])
-def test_footprints_of_too_many_corners_are_refused(geojson, make_scene, write_raster, monkeypatch, name):
+def test_footprints_with_too_many_corners_are_rejected(geojson, make_scene, write_raster, monkeypatch, name):
     scene = make_scene(write_raster(np.zeros((9, 9), np.float32), UTM, 500e3, 5200e3, 10.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
     round_house = shapely.Polygon(np.column_stack([500040 + 20 * np.cos(angle), 5199950 + 20 * np.sin(angle)]))
@@ -132,7 +132,7 @@ def test_footprints_of_too_many_corners_are_refused(geojson, make_scene, write_r
 
 
 def gltf(path, accessor: int | None = None, count: object = 3, nodes: list[dict] | None = None) -> str:
-    """A triangle as glTF, with another count in an accessor and other nodes if wanted."""
+    """Write a triangle as glTF, optionally with another accessor count and other nodes, and return its path."""
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4").tobytes() + np.array([0, 1, 2, 0], "<u2").tobytes()
     accessors = [
         {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
@@ -152,12 +152,12 @@ def gltf(path, accessor: int | None = None, count: object = 3, nodes: list[dict]
 
 @pytest.mark.parametrize("count", [-3, 2**31, 10**12, 1.5, "3", None])
 @pytest.mark.parametrize("accessor", [0, 1])
-def test_gltf_of_impossible_counts_is_refused(tmp_path, accessor, count):
+def test_gltf_with_impossible_counts_is_rejected(tmp_path, accessor, count):
     with pytest.raises(SourceError, match=f"accessor {accessor} of {count} numbers"):
         read_model(gltf(tmp_path / "a.gltf", accessor, count))
 
 
-def test_gltf_whose_triangles_have_no_vertices_is_refused(tmp_path):
+def test_gltf_triangles_without_vertices_are_rejected(tmp_path):
     with pytest.raises(SourceError, match="refer to missing vertices|cannot be read"):
         read_model(gltf(tmp_path / "a.gltf", 0, 1))
 
@@ -166,14 +166,14 @@ def test_gltf_whose_triangles_have_no_vertices_is_refused(tmp_path):
     "nodes",
     [[{"mesh": 0, "children": [0]}], [{"mesh": 0, "children": [1]}, {"children": [0]}], [{"children": [1]}, {"children": [0]}]],
 )
-def test_gltf_whose_nodes_lead_back_to_themselves_has_an_end(tmp_path, nodes):
+def test_gltf_with_cyclic_nodes_ends(tmp_path, nodes):
     try:
         assert len(read_model(gltf(tmp_path / "a.gltf", nodes=nodes)).triangles) == 1
     except SourceError as error:
         assert "a.gltf" in str(error)
 
 
-def test_copies_of_a_mesh_count(tmp_path, monkeypatch):
+def test_instances_of_a_mesh_count_towards_the_limit(tmp_path, monkeypatch):
     source = gltf(tmp_path / "a.gltf", nodes=[{"children": [1, 2, 3]}, *({"mesh": 0} for _ in range(3))])
     assert len(read_model(source).triangles) == 3
     monkeypatch.setattr(models, "MAX_MODEL_TRIANGLES", 2)
@@ -182,7 +182,7 @@ def test_copies_of_a_mesh_count(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj"])
-def test_a_texture_of_too_many_pixels_is_refused_before_it_is_decoded(tmp_path, monkeypatch, suffix):
+def test_large_texture_is_rejected_before_it_is_decoded(tmp_path, monkeypatch, suffix):
     square = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 1, 2), (0, 2, 3)])
     uv = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
     square.visual = trimesh.visual.TextureVisuals(uv, image=Image.new("RGB", (40, 30), (255, 0, 0)))
@@ -198,21 +198,21 @@ NO_CELLS = [(float("nan"), 0, 5, 0, -2, 9), (2, 0, float("inf"), 0, -2, 9), (2, 
 
 @pytest.mark.parametrize("cells", NO_CELLS)
 @pytest.mark.parametrize("reader", [Imagery, Canopy, Elevation])
-def test_rasters_whose_cells_have_no_place_are_refused(write_raster, reader, cells):
+def test_rasters_with_an_invalid_geotransform_are_rejected(write_raster, reader, cells):
     bands = np.zeros((3, 8, 9), np.uint8) if reader is Imagery else np.zeros((8, 9), np.float32)
     path = write_raster(bands, UTM, 0, 0, 1.0, transform=Affine(*cells))
     with pytest.raises(SourceError, match="geotransform|size above 0|no coordinate"):
         reader(str(path))
 
 
-def test_cells_as_large_as_countries_are_refused(write_raster):
+def test_rasters_with_huge_cells_are_rejected(write_raster):
     heights = np.zeros((9, 9), np.float32)
     with pytest.raises(SourceError, match="cells of 100 km exceed the limit of 50 km"):
         Elevation(str(write_raster(heights, UTM, 100e3, 5200e3, 100e3, name="large.tif")))
     Elevation(str(write_raster(heights, UTM, 100e3, 5200e3, 25e3, name="real.tif"))).close()
 
 
-def test_a_vast_raster_needs_overviews(write_raster, monkeypatch):
+def test_large_raster_needs_overviews(write_raster, monkeypatch):
     path = write_raster(np.ones((1100, 1100), np.float32), UTM, 500e3, 5200e3, 10.0, tiled=True)
     monkeypatch.setattr(overview_module, "MAX_CELLS_READ", 1100 * 1100 // 4)
     monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 1000)

@@ -1,4 +1,4 @@
-"""Buildings: bodies and their normals, extruded footprints, where heights come from, and what is refused."""
+"""Buildings: bodies and their normals, extruded footprints, sources of heights, and rejected input."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ YARD = shapely.box(500130, 5000130, 500160, 5000150).difference(COURT)
 
 
 def written(path: Path, geometry, crs: str = UTM, **attributes) -> Path:
-    """A GeoPackage of some geometries."""
+    """Write geometries to a GeoPackage, and return its path."""
     geometry = np.atleast_1d(np.array(geometry, object))
     kinds = {g.geom_type for g in geometry}
     pyogrio.raw.write(
@@ -49,7 +49,7 @@ def world_of(tmp_path: Path, terrain: dict, **mesh):
 
 
 def placed(tmp_path: Path, dem: Path, **mesh):
-    """The one mesh of a level over a raster, and the level's world and elevation."""
+    """Return the bodies of the only mesh of a level over a raster, and the level's world and elevation."""
     loaded, world, elevation = world_of(tmp_path, {"source": str(dem)}, **mesh)
     return place_meshes(loaded, world, elevation).seen, world, elevation
 
@@ -65,16 +65,16 @@ def level_ground(write_raster):
 
 @pytest.fixture
 def slope(write_raster):
-    """Rises 0.2 m per metre east."""
+    """Write a raster that rises 0.2 m per metre east."""
     return write_raster(np.tile(np.arange(40, dtype=np.float32) * 2.0, (40, 1)), UTM, 500000, 5000400, 10)
 
 
-def test_linear_albedo_of_srgb():
+def test_srgb_albedo_is_linear():
     np.testing.assert_allclose(srgb_albedo((0.0, 1.0, 0.5)), [0.0, 1.0, 0.21404], atol=1e-5)
     assert srgb_albedo(0.04) == pytest.approx(0.04 / 12.92)
 
 
-def test_a_box_is_closed_and_sharp():
+def test_box_is_closed_with_sharp_edges():
     body = box((2, 4, 6), (1, 2, 3))
     assert body.closed and body.volume_m3 == pytest.approx(48)
     assert body.vertices_m.min(axis=0) == pytest.approx([0, 0, 0])
@@ -84,7 +84,7 @@ def test_a_box_is_closed_and_sharp():
     np.testing.assert_allclose(body.corner_normals(), np.repeat(face[:, None], 3, axis=1), atol=1e-6)
 
 
-def test_a_cylinder_is_round_at_its_side_and_sharp_at_its_rim():
+def test_cylinder_has_a_smooth_side_and_a_sharp_rim():
     made = trimesh.creation.cylinder(2.0, 5.0, sections=24)
     body = Body(np.asarray(made.vertices), np.asarray(made.faces), np.ones(3))
     assert body.closed
@@ -93,11 +93,11 @@ def test_a_cylinder_is_round_at_its_side_and_sharp_at_its_rim():
     radial = corner[side] * (1, 1, 0) / 2.0
     np.testing.assert_allclose(normal[side], radial, atol=1e-6)
     assert np.abs(normal[~side][:, 2]).min() == pytest.approx(1.0)
-    sharp = body.corner_normals(crease_deg=10.0)  # facets are 15 degrees apart
+    sharp = body.corner_normals(crease_deg=10.0)  # facets differ by 15 degrees
     np.testing.assert_allclose(sharp, np.repeat(sharp[:, :1], 3, axis=1), atol=1e-6)
 
 
-def test_an_open_or_twice_covered_surface_is_not_closed():
+def test_open_or_doubled_surface_is_not_closed():
     body = box((1, 1, 1))
     assert not Body(body.vertices_m, body.triangles[1:], body.albedo[1:]).closed
     flipped = np.vstack([body.triangles[:1, ::-1], body.triangles[1:]])
@@ -107,7 +107,7 @@ def test_an_open_or_twice_covered_surface_is_not_closed():
     assert not Body(np.empty((0, 3)), np.empty((0, 3)), np.ones(3)).closed
 
 
-def test_vertices_in_one_place_are_one():
+def test_coincident_vertices_are_merged():
     body = box((1, 1, 1))
     soup = Body(body.vertices_m[body.triangles].reshape(-1, 3), np.arange(36).reshape(-1, 3), body.albedo)
     assert soup.closed
@@ -118,21 +118,21 @@ def test_triangles_without_area_are_dropped():
     assert len(body.triangles) == len(body.albedo) == 1
 
 
-def test_moved_scales_turns_and_shifts():
+def test_transformed_scales_turns_and_shifts():
     body = transformed(Body([[1, 0, 0], [2, 0, 0], [1, 0, 1]], [[0, 1, 2]], (1, 1, 1)), (10, 20, 30), turn_deg=90, scale=2)
     np.testing.assert_allclose(body.vertices_m, [[10, 22, 30], [10, 24, 30], [10, 22, 32]], atol=1e-12)
 
 
 @st.composite
 def town_blocks(draw):
-    """Right-angled outlines with courtyards, turned: many corners in line, as drawn by people."""
+    """Draw rotated right-angled outlines with courtyards and many collinear corners, as people digitize them."""
     cell = st.tuples(st.integers(0, 9), st.integers(0, 9), st.integers(1, 6), st.integers(1, 6))
     whole = shapely.union_all([shapely.box(x, y, x + w, y + h) for x, y, w, h in draw(st.lists(cell, min_size=1, max_size=6))])
     cut = shapely.union_all([shapely.box(x, y, x + 1, y + 1) for x, y, _, _ in draw(st.lists(cell, max_size=4))])
     turned = affinity.rotate(whole.difference(cut), draw(st.sampled_from([0.0, 17.3, 45.0])), origin=(0, 0))
     parts = [part for part in shapely.get_parts(turned) if part.area > 0.5]
 
-    # Rings that touch themselves or each other share a corner: such a block is no manifold.
+    # Rings that touch themselves or each other share a corner, so that the block is not a manifold.
     def corners(part):
         return np.concatenate([np.array(ring.coords)[:-1] for ring in (part.exterior, *part.interiors)])
 
@@ -142,7 +142,7 @@ def town_blocks(draw):
 
 @settings(max_examples=200, deadline=None)
 @given(town_blocks())
-def test_any_block_is_closed_faces_outwards_and_has_its_footprints_roof(polygons):
+def test_block_is_closed_and_has_the_roof_of_its_footprint(polygons):
     for polygon in polygons:
         rings = [np.array(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
         xy, ends = np.concatenate(rings), np.cumsum([len(ring) for ring in rings])
@@ -158,19 +158,19 @@ def test_any_block_is_closed_faces_outwards_and_has_its_footprints_roof(polygons
         assert is_roof.sum() == len(roof)
 
 
-def test_a_building_on_level_ground(tmp_path, level_ground):
+def test_building_stands_on_level_ground(tmp_path, level_ground):
     source = written(tmp_path / "b.gpkg", [SQUARE, YARD], height_m=[8.0, 12.0])
     bodies, world, elevation = placed(tmp_path, level_ground, source=source)
     assert len(bodies) == 2
     for body, footprint, tall in zip(bodies, (SQUARE, YARD), (8.0, 12.0), strict=True):
         assert body.body.closed
-        # UTM's scale here is 0.9996: areas on the ground are larger by its square.
+        # The UTM scale here is 0.9996: areas on the ground are larger by its inverse square.
         assert body.body.volume_m3 == pytest.approx(footprint.area / 0.9996**2 * (tall + FOOTING_M), rel=1e-4)
         up = heights(body, world, elevation)
         assert up.max() == pytest.approx(50 + tall, abs=1e-3) and up.min() == pytest.approx(50 - FOOTING_M, abs=1e-3)
 
 
-def test_a_building_on_a_slope_stands_on_its_mean_ground_and_leaves_no_gap(tmp_path, slope):
+def test_building_on_a_slope_stands_on_its_mean_ground(tmp_path, slope):
     source = written(tmp_path / "b.gpkg", [SQUARE])
     (body,), world, elevation = placed(tmp_path, slope, source=source, height=8.0)
     west, east = (elevation.ground_m(np.float64(x), np.float64(5000105)) for x in (500100, 500120))
@@ -181,7 +181,7 @@ def test_a_building_on_a_slope_stands_on_its_mean_ground_and_leaves_no_gap(tmp_p
     assert up.min() == pytest.approx(west - FOOTING_M, abs=1e-3)
 
 
-def test_needless_corners_and_a_clockwise_outline_change_nothing(tmp_path, level_ground):
+def test_redundant_corners_and_orientation_do_not_matter(tmp_path, level_ground):
     ring = np.array(shapely.segmentize(SQUARE, 2.5).exterior.coords)
     untidy = shapely.Polygon(np.repeat(ring[::-1], 2, axis=0))
     source = written(tmp_path / "b.gpkg", [SQUARE, untidy])
@@ -190,7 +190,7 @@ def test_needless_corners_and_a_clockwise_outline_change_nothing(tmp_path, level
     assert other.body.closed and other.body.volume_m3 == pytest.approx(tidy.body.volume_m3)
 
 
-def test_multi_polygons_and_outlines_that_cross_themselves(tmp_path, level_ground):
+def test_multipolygons_and_self_intersections_are_handled(tmp_path, level_ground):
     bow_tie = shapely.Polygon([(500100, 5000100), (500120, 5000120), (500120, 5000100), (500100, 5000120)])
     both = shapely.MultiPolygon([SQUARE, YARD])
     source = written(tmp_path / "b.gpkg", [both], height=[5])
@@ -201,7 +201,7 @@ def test_multi_polygons_and_outlines_that_cross_themselves(tmp_path, level_groun
     assert sum(b.body.volume_m3 for b in bodies) == pytest.approx(200 / 0.9996**2 * 5.5, rel=1e-3)
 
 
-def test_the_same_building_has_the_same_colours_and_another_one_others(tmp_path, level_ground):
+def test_colours_depend_on_the_building(tmp_path, level_ground):
     row = [affinity.translate(SQUARE, 0, 12 * k) for k in range(12)]
     source = written(tmp_path / "b.gpkg", row)
     first, *_ = placed(tmp_path, level_ground, source=source, height=8)
@@ -215,35 +215,36 @@ def test_the_same_building_has_the_same_colours_and_another_one_others(tmp_path,
     assert (painted[0].body.albedo == (1, 0, 0)).all()
 
 
-def test_heights_unknown_or_not_above_zero_leave_footprints_out(tmp_path, level_ground):
+def test_footprints_without_a_positive_height_are_omitted(tmp_path, level_ground):
     row = [affinity.translate(SQUARE, 0, 20 * k) for k in range(4)]
     source = written(tmp_path / "b.gpkg", row, tall=[np.nan, 0.0, -3.0, 6.0])
     bodies, *_ = placed(tmp_path, level_ground, source=source, height="tall")
     assert len(bodies) == 1
 
 
-def test_footprints_off_the_terrain_and_mostly_off_it_are_left_out(tmp_path, write_raster):
+def test_footprints_mostly_off_the_terrain_are_omitted(tmp_path, write_raster):
     ground = write_raster(np.full((80, 80), 50.0, np.float32), UTM, 500000, 5000400, 5)
-    shifts = (0, -107, -113, -130, 5000)  # wholly on the ground, by 13 m of 20, by 7 m, not at all
+    shifts = (0, -107, -113, -130, 5000)  # inside, by 13 m of 20 m, by 7 m, and outside
     source = written(tmp_path / "b.gpkg", [affinity.translate(SQUARE, dx, 0) for dx in shifts])
     bodies, world, elevation = placed(tmp_path, ground, source=source, height=4)
     assert len(bodies) == 2
     assert all(heights(body, world, elevation).max() == pytest.approx(54.0, abs=1e-3) for body in bodies)
 
 
-def test_a_hole_in_the_ground_under_a_building_is_ground(tmp_path, write_raster):
+def test_hole_in_the_ground_under_a_building_is_filled(tmp_path, write_raster):
     values = np.full((80, 80), 50.0, np.float32)
-    values[50:70, 15:30] = np.nan  # SQUARE and more
+    values[50:70, 15:30] = np.nan  # SQUARE and its surroundings
     ground = write_raster(values, UTM, 500000, 5000400, 5)
     bodies, world, elevation = placed(tmp_path, ground, source=written(tmp_path / "b.gpkg", [SQUARE]), height=4)
     assert heights(bodies[0], world, elevation).max() == pytest.approx(54.0, abs=1e-3)
 
 
-def test_heights_by_surface_minus_ground_in_feet_and_another_crs(tmp_path, level_ground, write_raster):
+def test_heights_from_surface_and_ground_in_other_units(tmp_path, level_ground, write_raster):
     x, y = np.meshgrid(500000.5 + np.arange(400), 5000399.5 - np.arange(400))
     roofed = shapely.contains_xy(SQUARE, x, y) | shapely.contains_xy(YARD, x, y)
     top = np.where(roofed, 60.0, 50.0)
-    top[shapely.contains_xy(shapely.box(500109, 5000104, 500111, 5000105), x, y)] = 75.0  # a chimney: below a tenth
+    # A chimney on less than a tenth of the roof
+    top[shapely.contains_xy(shapely.box(500109, 5000104, 500111, 5000105), x, y)] = 75.0
     surface = write_raster((top / 0.3048).astype(np.float32), UTM, 500000, 5000400, 1, name="dsm.tif")
     with rasterio.open(surface, "r+") as dataset:
         dataset.units = ("ft",)
@@ -252,14 +253,14 @@ def test_heights_by_surface_minus_ground_in_feet_and_another_crs(tmp_path, level
     shed = shapely.box(500140.2, 5000137.2, 500140.6, 5000137.6)  # smaller than a cell, in the yard
     source = written(tmp_path / "b.gpkg", [SQUARE, YARD, shed])
     bodies, world, elevation = placed(tmp_path, level_ground, source=source, surface=str(surface), ground=str(ground))
-    assert len(bodies) == 2  # the shed's surface is the ground's
+    assert len(bodies) == 2  # the shed has no height above the ground
     for body in bodies:
         assert heights(body, world, elevation).max() == pytest.approx(60.0, abs=0.02)
 
 
 @pytest.fixture
 def terraced(write_raster):
-    """Cells of 1 m: ground that rises 0.2 m per metre east, and a surface with a level roof at 31 m over its downhill half."""
+    """Write 1 m cells: ground that rises 0.2 m per metre east, and a level roof at 31 m over the footprint's downhill half."""
     x, y = np.meshgrid(500000.5 + np.arange(400), 5000399.5 - np.arange(400))
     ground = 0.2 * (x - 500000.5)
     surface = np.where(shapely.contains_xy(SQUARE, x, y) & (x < 500113), 31.0, ground)
@@ -269,30 +270,31 @@ def terraced(write_raster):
     }
 
 
-def test_a_measured_roof_lies_where_the_surface_does_on_a_slope(tmp_path, terraced, slope):
-    """Downhill the roof is 10 m above the ground, uphill less: a height above each cell's own ground would lift it."""
+def test_measured_roof_on_a_slope_equals_the_surface(tmp_path, terraced, slope):
+    """The roof is 10 m above the ground downhill and less uphill. A height above each cell's own ground would lift it."""
     source = written(tmp_path / "b.gpkg", [SQUARE])
     (body,), world, elevation = placed(tmp_path, terraced["ground"], source=source, **terraced)
     assert heights(body, world, elevation).max() == pytest.approx(31.0, abs=0.01)
-    # Over another ground it keeps its height above the mean: 31 m - 0.2 * (110 m - 0.5 m); this one is 0.9 m lower.
+    # Over other ground, the roof keeps its height above the mean: 31 m - 0.2 * (110 m - 0.5 m). This ground is 0.9 m lower.
     (body,), world, elevation = placed(tmp_path, slope, source=source, **terraced)
     assert heights(body, world, elevation).max() == pytest.approx(31.0 - 0.9, abs=0.01)
 
 
-def test_slabs_and_footprints_hardly_on_the_surface_are_no_buildings(tmp_path, level_ground, write_raster):
+def test_slabs_and_mostly_uncovered_footprints_are_omitted(tmp_path, level_ground, write_raster):
     row = [affinity.translate(SQUARE, 30 * k, 0) for k in range(4)]  # 500100 ... 500210
     x, y = np.meshgrid(500000.5 + np.arange(198), 5000399.5 - np.arange(400))
     top = np.full(x.shape, 50.0)
     for footprint, height in zip(row, (8.0, 1.4, 1.6, 8.0), strict=True):
         top[shapely.contains_xy(footprint, x, y)] += height
-    surface = write_raster(top.astype(np.float32), UTM, 500000, 5000400, 1, name="dsm.tif")  # ends in the last, at 500198
+    # Ends within the last footprint, at 500198
+    surface = write_raster(top.astype(np.float32), UTM, 500000, 5000400, 1, name="dsm.tif")
     source = written(tmp_path / "b.gpkg", row, low=[1.0] * 4)
     bodies, world, elevation = placed(tmp_path, level_ground, source=source, surface=str(surface), ground=str(level_ground))
     assert [heights(body, world, elevation).max() for body in bodies] == pytest.approx([58.0, 51.6], abs=0.01)
     assert len(placed(tmp_path, level_ground, source=source, height="low")[0]) == 4, "a stated height is taken as it is"
 
 
-def test_real_footprints_take_their_heights_from_real_rasters(tmp_path, shared_data):
+def test_real_footprints_get_heights_from_real_rasters(tmp_path, shared_data):
     folder = shared_data / "urban" / "goteborg_1m"
     bodies, world, elevation = placed(
         tmp_path, folder / "DEM.tif", source=folder / "buildings.shp", surface=folder / "DSM.tif", ground=folder / "DEM.tif"
@@ -303,7 +305,7 @@ def test_real_footprints_take_their_heights_from_real_rasters(tmp_path, shared_d
     assert 10 < np.median(spans) < 25 and max(spans) < 60
 
 
-def test_a_flat_world(tmp_path):
+def test_building_in_a_flat_world(tmp_path):
     source = written(tmp_path / "b.gpkg", [shapely.box(-10, -5, 10, 5)], crs=ENGINEERING, height=[6.0])
     loaded, world, elevation = world_of(tmp_path, {"flat": {"size": [200, 100], "cells": [20, 10]}}, source=source)
     vertices = solids(place_meshes(loaded, world, elevation), 0.0).vertices_earth_m
@@ -330,7 +332,7 @@ def test_a_flat_world(tmp_path):
         ({"surface": "none.tif", "ground": "dem.tif"}, SourceError, ["none.tif"]),
     ],
 )
-def test_what_is_refused_says_why_in_one_line(tmp_path, level_ground, mesh, kind, said):
+def test_building_error_names_the_key_in_one_line(tmp_path, level_ground, mesh, kind, said):
     source = written(tmp_path / "b.gpkg", [SQUARE, YARD], tall=[3.0, 1500.0], name=["tower", "yard"])
     with pytest.raises(kind) as caught:
         placed(tmp_path, level_ground, source=source, **mesh)
@@ -345,14 +347,14 @@ def test_what_is_refused_says_why_in_one_line(tmp_path, level_ground, mesh, kind
         (affinity.translate(SQUARE, 50000, 0), ["footprints within 15.6", "on the terrain: within 15.0"]),
     ],
 )
-def test_geometry_that_cannot_stand_is_refused(tmp_path, level_ground, geometry, said):
+def test_invalid_geometry_is_rejected(tmp_path, level_ground, geometry, said):
     source = written(tmp_path / "b.gpkg", [geometry])
     with pytest.raises(SourceError) as caught:
         placed(tmp_path, level_ground, source=source, height=5)
     assert all(part in str(caught.value) for part in said), str(caught.value)
 
 
-def test_no_usable_height_at_all_is_one_error(tmp_path, level_ground):
+def test_no_usable_height_is_a_single_error(tmp_path, level_ground):
     source = written(tmp_path / "b.gpkg", [SQUARE], tall=[0.0])
     with pytest.raises(SourceError, match="no footprint with a height above 0 in the attribute 'tall'"):
         placed(tmp_path, level_ground, source=source, height="tall")

@@ -1,4 +1,4 @@
-"""Attributes of footprints: names and units that files use, floors above the ground, and what is said of them."""
+"""Height attributes of footprints: common names and units, floors above the ground, notes and warnings."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from tests.rasters import ENGINEERING
 from tests.terrain.meshes.test_buildings import written
 
 ROW = [shapely.box(30 * k, 0, 30 * k + 20, 10) for k in range(4)]
-"""On a floor at height 0."""
+"""Footprints on a floor at height 0."""
 
 
 def stand(tmp_path, geometry, mesh=None, **attributes):
-    """The placement of footprints on a flat floor, and the heights (n, 2) of their floors and roofs."""
+    """Return the placement of footprints on a flat floor, and the heights (n, 2) of their floors and roofs."""
     source = written(tmp_path / "b.gpkg", geometry, crs=ENGINEERING, **attributes)
     return placed(tmp_path, source, **(mesh or {}))
 
@@ -54,13 +54,13 @@ def scene_of(tmp_path, source, **mesh):
         ("num_floors", 3, 9.0),
     ],
 )  # fmt: skip
-def test_usual_attributes_are_found_and_their_units_read(tmp_path, name, value, top_m):
+def test_common_attributes_and_units_are_recognized(tmp_path, name, value, top_m):
     _, up = stand(tmp_path, ROW[:1], **{name: [value]})
     np.testing.assert_allclose(up, [[-FOOTING_M, top_m]], atol=1e-6)
 
 
-def test_a_height_goes_before_storeys_and_storeys_fill_gaps(tmp_path):
-    """A null among numbers, a 0 and a text say nothing of a height; the fourth has neither."""
+def test_height_takes_precedence_and_storeys_fill_gaps(tmp_path):
+    """Null and 0 are not heights. The fourth footprint has neither a height nor storeys."""
     values = {"height": np.array([7.0, np.nan, 0.0, np.nan]), "building:levels": np.array([9, 2, 3, 0], np.int32)}
     placement, up = stand(tmp_path, ROW, **values)
     assert up[:, 1].tolist() == [7.0, 6.0, 9.0]
@@ -69,7 +69,7 @@ def test_a_height_goes_before_storeys_and_storeys_fill_gaps(tmp_path):
     assert placement.notes[2].endswith("1 footprints left out: without a height") and placement.warnings == ()
 
 
-def test_a_text_that_is_no_length_is_named_and_passed_over(tmp_path):
+def test_text_that_is_no_length_is_reported_and_ignored(tmp_path):
     values = np.array(["7 m", "tall", None, "12-15"], object)
     placement, up = stand(tmp_path, ROW, height=values)
     assert up[:, 1].tolist() == [7.0]
@@ -77,7 +77,7 @@ def test_a_text_that_is_no_length_is_named_and_passed_over(tmp_path):
     assert "b.gpkg: height = tall at feature 2 of 4, and 1 more: ignored, not a length" in warning
 
 
-def test_a_named_attribute_is_found_in_either_case_and_alone(tmp_path):
+def test_named_attribute_is_case_insensitive_and_exclusive(tmp_path):
     _, up = stand(tmp_path, ROW[:2], mesh={"height": "eaves"}, Eaves=[5.0, np.nan], height=[9.0, 9.0])
     assert up[:, 1].tolist() == [5.0]
     _, up = stand(tmp_path, ROW[:1], mesh={"height": "building:levels"}, **{"building:levels": [2]})
@@ -86,7 +86,7 @@ def test_a_named_attribute_is_found_in_either_case_and_alone(tmp_path):
         stand(tmp_path, ROW[:1], mesh={"height": "ridge"}, Eaves=[5.0])
 
 
-def test_without_any_height_the_message_says_what_is_missing(tmp_path):
+def test_missing_height_lists_the_attributes(tmp_path):
     with pytest.raises(
         LevelError, match=r"meshes\.0\.height: missing\. Set it to metres or to an attribute of .*\(colour\), or set surface"
     ):
@@ -97,7 +97,7 @@ def test_without_any_height_the_message_says_what_is_missing(tmp_path):
     ("name", "value", "base_m"),
     [("min_height", 5.0, 5.0), ("Min_Height", "5 m", 5.0), ("base_height", 5, 5.0), ("building:min_level", 2, 6.0)],
 )
-def test_what_begins_above_the_ground_is_a_closed_block_there(tmp_path, name, value, base_m):
+def test_raised_footprint_is_a_closed_block(tmp_path, name, value, base_m):
     placement, up = stand(
         tmp_path, ROW[:2], height=[9.0, 9.0], **{name: np.array([value, None], object) if isinstance(value, str) else [value, 0]}
     )
@@ -107,9 +107,10 @@ def test_what_begins_above_the_ground_is_a_closed_block_there(tmp_path, name, va
     assert any(f"base heights: 1 of 2 footprints from the attribute '{name}'" in note for note in placement.notes)
 
 
-def test_a_bridge_lets_the_sun_through_below(tmp_path):
-    """A deck 4 m wide, 10 m to 11 m high, under a sun at 45 degrees in the south: its shadow lies 10 m to 15 m north of its
-    southern edge. Standing on the ground it would begin at the edge.
+def test_sun_shines_below_a_bridge(tmp_path):
+    """The deck is 4 m wide and 10 m to 11 m high, and the sun is in the south at 45 degrees.
+
+    Its shadow lies 10 m to 15 m north of its southern edge. A deck that stands on the ground has a shadow from its edge on.
     """
     deck = shapely.box(-100, 0, 100, 4)
     shadow = {}
@@ -125,7 +126,7 @@ def test_a_bridge_lets_the_sun_through_below(tmp_path):
     assert shadow["standing"].max() == 14.75 and len(shadow["standing"]) >= 22
 
 
-def test_a_pitched_roof_of_a_raised_house_leaves_it_walls(tmp_path):
+def test_pitched_roof_of_a_raised_house_leaves_walls(tmp_path):
     house = affinity.translate(shapely.box(0, 0, 8, 10), 0, 0)
     placement, up = stand(tmp_path, [house], mesh={"roof": "pitched"}, height=[9.0], min_height=[6.0])
     np.testing.assert_allclose(up, [[6.0, 9.0]], atol=1e-6)
@@ -133,14 +134,14 @@ def test_a_pitched_roof_of_a_raised_house_leaves_it_walls(tmp_path):
     assert placement.seen[0].body.closed and len(eaves) == 3 and eaves[1] > 6.0 + 0.5 * 3.0
 
 
-def test_a_floor_above_its_roof_is_left_out_and_named(tmp_path):
+def test_floor_above_its_roof_is_omitted_and_reported(tmp_path):
     placement, up = stand(tmp_path, ROW, height=[9.0, 4.0, 9.0, 9.0], min_height=[0.0, 4.0, 3.0, 6.0])
     np.testing.assert_allclose(up, [[-FOOTING_M, 9.0], [3.0, 9.0], [6.0, 9.0]], atol=1e-6)
     (warning,) = placement.warnings
     assert warning.endswith("b.gpkg: feature 2 of 4 left out: the floor is not below the roof")
 
 
-def test_floors_that_count_from_the_sea_are_passed_over(tmp_path):
+def test_floors_above_sea_level_are_ignored(tmp_path):
     placement, up = stand(tmp_path, ROW, height=[9.0, 12.0, 60.0, 8.0], base_height=[52.0, 52.5, 53.0, np.nan])
     np.testing.assert_allclose(up, [[-FOOTING_M, top] for top in (9.0, 12.0, 60.0, 8.0)], atol=1e-6)
     (warning,) = placement.warnings

@@ -1,4 +1,4 @@
-"""The made scenes: as many triangles as they promise, closed, on the floor, and the same every time; their level files load."""
+"""Generated scenes: expected triangle counts, closed bodies on the floor, reproducible results, and valid level files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from skugga.terrain.meshes.generators import GENERATORS, shapes
 from skugga.terrain.scene import build_scene
 
 TRIANGLES = {"boxgrid": 12_000, "rocks": 63_000, "street": 400, "room": 19_000, "water_tower": 12_500}
-"""As in the thesis, section 7."""
+"""Counts of the thesis, section 7."""
 
 GRAY = (0.5, 0.5, 0.5)
 LEVELS = sorted(LEVELS_FOLDER.glob("thesis_*.yaml"))
@@ -27,17 +27,17 @@ def scenes():
     return {name: generate() for name, generate in GENERATORS.items()}
 
 
-def test_generators_are_those_a_level_may_name():
+def test_generators_equal_the_schema():
     assert set(GENERATORS) == set(get_args(MeshGenerator))
 
 
 @pytest.mark.parametrize("name", TRIANGLES)
-def test_triangle_counts(scenes, name):
+def test_triangle_counts_are_those_of_the_thesis(scenes, name):
     assert sum(len(body.triangles) for body in scenes[name]) == pytest.approx(TRIANGLES[name], rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["boxgrid", "street"])
-def test_counts_that_are_exact(scenes, name):
+def test_exact_triangle_counts(scenes, name):
     assert sum(len(body.triangles) for body in scenes[name]) == TRIANGLES[name]
 
 
@@ -50,7 +50,7 @@ def test_bodies_are_closed_and_face_outwards(scenes, name):
 
 
 @pytest.mark.parametrize("name", GENERATORS)
-def test_scenes_are_the_same_every_time(scenes, name):
+def test_scenes_are_reproducible(scenes, name):
     for body, again in zip(scenes[name], GENERATORS[name](), strict=True):
         assert (body.vertices_m == again.vertices_m).all()
         assert (body.triangles == again.triangles).all()
@@ -68,14 +68,14 @@ def test_scenes_stand_on_the_ground_or_hover(scenes, name):
         assert lowest == 0
 
 
-def test_stones_stand_on_flat_feet(scenes):
+def test_stones_have_flat_feet(scenes):
     standing = [body for body in scenes["rocks"] if body.vertices_m[:, 2].min() < 1.0]
     assert len(standing) == 5 * 21
     for body in standing:
         assert (body.vertices_m[:, 2] == 0).sum() > 9
 
 
-def test_lintels_sit_on_their_uprights(scenes):
+def test_lintels_rest_on_their_uprights(scenes):
     stones = scenes["rocks"][: len(scenes["rocks"]) // 5]
     lintels = [body.vertices_m for body in stones if body.vertices_m[:, 2].min() > 1.0]
     heads = [body.vertices_m[body.vertices_m[:, 2].argmax()] for body in stones if body.vertices_m[:, 2].min() == 0.0]
@@ -99,7 +99,7 @@ def test_boxes_of_the_grid_do_not_touch(scenes):
     assert apart.min() > sides.max()
 
 
-def test_the_figure_is_two_regular_tetrahedra_about_the_up_axis(scenes):
+def test_figure_is_two_regular_tetrahedra_on_the_up_axis(scenes):
     points = np.concatenate([body.vertices_m for body in scenes["tetrahedra"]])
     assert np.ptp(points[:, 2]) == pytest.approx(30)
     for body in scenes["tetrahedra"]:
@@ -109,7 +109,7 @@ def test_the_figure_is_two_regular_tetrahedra_about_the_up_axis(scenes):
         assert body.vertices_m[:, :2].mean(axis=0) == pytest.approx([0, 0], abs=1e-12)
 
 
-def test_the_wood_is_convex(scenes):
+def test_wood_hill_is_convex(scenes):
     (body,) = scenes["wood_hill"]
     corner = body.vertices_m[body.triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -136,18 +136,18 @@ def test_levels_load_and_fit_their_floor(scenes, path: Path):
         assert (np.abs(place[:2]) < half).all() and place[2] > 0
 
 
-def test_each_thesis_scene_has_a_spot_and_a_sun():
+def test_each_thesis_scene_has_a_spot_and_a_sun_level():
     assert {path.stem for path in LEVELS} == {f"thesis_{name}{light}" for name in TRIANGLES for light in ("", "_sun")}
 
 
 @pytest.mark.parametrize("stem", sorted({path.stem.removesuffix("_sun") for path in LEVELS}))
-def test_the_sun_level_differs_in_its_light_alone(stem):
+def test_sun_level_differs_only_in_its_light(stem):
     spot, sun = (load_level(LEVELS_FOLDER / f"{stem}{light}.yaml").level for light in ("", "_sun"))
     same = ("terrain", "meshes", "views", "attribution", "shadows", "effects")
     assert all(getattr(spot, key) == getattr(sun, key) for key in same)
 
 
-def test_spatialace_has_ten_thousand_triangles_and_a_turning_figure():
+def test_spatialace_has_ten_thousand_triangles():
     loaded = load_level(LEVELS_FOLDER / "spatialace.yaml")
     assert all(Path(source).is_file() for source in loaded.sources)
     level = loaded.level
@@ -158,8 +158,8 @@ def test_spatialace_has_ten_thousand_triangles_and_a_turning_figure():
     assert level.views["main"].size == (800, 600)
 
 
-def test_spatialace_s_figure_flies_round_clear_of_trees_and_begins_where_it_stands():
-    """Its pictures of second 0 are those of a figure that only turns."""
+def test_spatialace_figure_flies_clear_of_trees():
+    """The path starts at the position of the static figure, so that pictures of second 0 are unchanged."""
     scene = build_scene(load_level(LEVELS_FOLDER / "spatialace.yaml"))
     path = scene.objects.placement.seen[-1].motion.path
     trees = scene.objects.trees_on(scene.elevation.crs)[:, :2]
@@ -172,7 +172,7 @@ def test_spatialace_s_figure_flies_round_clear_of_trees_and_begins_where_it_stan
     assert path.at_second(20.0).above_ground_m == pytest.approx(20.0)
 
 
-# The shapes, against volumes that are known.
+# Shapes, compared with known volumes.
 
 
 def test_tube_and_lathe_are_regular_prisms():
@@ -191,7 +191,7 @@ def test_ring_has_the_volume_of_its_prisms():
     assert washer.volume_m3 == pytest.approx(0.5 * (4 - 1) * 0.5 * 6 * np.sin(np.pi / 3))
 
 
-def test_a_bent_tube_and_a_loft_are_closed():
+def test_bent_tube_and_loft_are_closed():
     hoop = shapes.tube(shapes.arc((0, 0, 1), 2.0, -90, 90, 9), 0.1, 6, GRAY)
     assert hoop.closed and hoop.volume_m3 == pytest.approx(np.pi * 2 * 0.5 * 6 * 0.01 * np.sin(np.pi / 3), rel=0.03)
     square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float)
@@ -199,7 +199,7 @@ def test_a_bent_tube_and_a_loft_are_closed():
 
 
 @pytest.mark.parametrize("end", [(4.0, 0.0), (0.0, 4.0), (-2.4, -3.2)])
-def test_wall_stands_at_the_left_of_its_line(end):
+def test_wall_stands_left_of_its_line(end):
     pane = shapely.Polygon([(0, 0), (4, 0), (4, 3), (0, 3)], [[(1, 1), (1, 2), (3, 2), (3, 1)]])
     body = shapes.wall(pane, (0.0, 0.0), end, 0.5, GRAY)
     assert body.closed
@@ -218,7 +218,7 @@ def test_cell_box_is_the_cube():
     assert np.abs(points).max(axis=1) == pytest.approx(np.ones(len(points)))
 
 
-def test_gable_and_hull():
+def test_gable_and_cuboid_volumes():
     roof = shapes.gable((0, 0), (4, 10), 3.0, 5.0, GRAY)
     assert roof.closed and len(roof.triangles) == 8
     assert roof.volume_m3 == pytest.approx(4 * 2 / 2 * 10)

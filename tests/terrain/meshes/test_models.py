@@ -1,4 +1,4 @@
-"""Models: what trimesh writes is read back, axes and colours by the format's rules, and what is refused."""
+"""Model files: round trips through trimesh, axes and colours of each format, and rejected input."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ TALL_BOX = (2.0, 4.0, 6.0)
 
 
 def tall_box() -> trimesh.Trimesh:
-    """2 m east, 4 m north, 6 m up, its middle 1 m east and 10 m up of its origin."""
+    """Return a box of 2 m east, 4 m north and 6 m up, with its centre 1 m east of and 10 m above its origin."""
     mesh = trimesh.creation.box(extents=TALL_BOX)
     mesh.apply_translation((1.0, 0.0, 10.0))
     return mesh
 
 
 def y_up(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The same mesh as glTF holds it: (east, up, south)."""
+    """Return the mesh with the axes of glTF: (east, up, south)."""
     turned = mesh.copy()
     turned.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     return turned
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb", ".gltf"])
-def test_what_is_written_is_read_back_upright_on_its_base(tmp_path, suffix):
+def test_read_model_is_upright_on_its_base(tmp_path, suffix):
     path = tmp_path / f"box{suffix}"
     mesh = tall_box() if suffix in (".obj", ".ply") else y_up(tall_box())
     if suffix == ".gltf":
@@ -44,7 +44,7 @@ def test_what_is_written_is_read_back_upright_on_its_base(tmp_path, suffix):
     assert body.closed and body.volume_m3 == pytest.approx(48)
 
 
-def test_the_front_of_a_gltf_model_faces_south(tmp_path):
+def test_front_of_a_gltf_model_faces_south(tmp_path):
     trimesh.Trimesh([[0, 0, 5], [1, 0, 5], [0, 1, 5]], [[0, 1, 2]]).export(tmp_path / "front.glb")
     body = read_model(str(tmp_path / "front.glb"))
     np.testing.assert_allclose(body.corner_normals()[0], [[0, -1, 0]] * 3, atol=1e-6)
@@ -63,11 +63,11 @@ def test_scenes_are_flattened_with_their_transforms(tmp_path):
     scene.export(tmp_path / "row.glb")
     body = read_model(str(tmp_path / "row.glb"))
     assert len(body.triangles) == 48 and body.closed
-    assert body.volume_m3 == pytest.approx(4)  # the mirrored one faces outwards, too
+    assert body.volume_m3 == pytest.approx(4)  # the mirrored box faces outwards, too
     assert np.ptp(body.vertices_m[:, 0]) == pytest.approx(31)
 
 
-def test_colours(tmp_path):
+def test_colours_follow_the_rules_of_the_format(tmp_path):
     srgb = np.array([200, 100, 50, 255], np.uint8)
     painted = tall_box()
     painted.visual.vertex_colors = np.tile(srgb, (8, 1))
@@ -86,14 +86,14 @@ def test_colours(tmp_path):
     metal = tall_box()
     metal.visual = trimesh.visual.TextureVisuals(uv=np.zeros((8, 2)), material=material)
     metal.export(tmp_path / "metal.glb")
-    albedo = read_model(str(tmp_path / "metal.glb")).albedo  # linear by the format's definition
+    albedo = read_model(str(tmp_path / "metal.glb")).albedo  # linear by the definition of glTF
     np.testing.assert_allclose(albedo, np.tile([0.5, 0.25, 0.1], (12, 1)), atol=4e-3)
 
     tall_box().export(tmp_path / "plain.obj")
     np.testing.assert_allclose(read_model(str(tmp_path / "plain.obj")).albedo, np.tile(srgb_albedo(NEUTRAL), (12, 1)))
 
 
-def test_textures_are_looked_up_and_tinted(tmp_path):
+def test_textures_are_sampled_and_tinted(tmp_path):
     picture = Image.fromarray(np.array([[[255, 0, 0], [0, 0, 188]]], np.uint8).repeat(4, axis=1).repeat(8, axis=0))
     material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture, baseColorFactor=[1.0, 1.0, 0.5, 1.0])
     mesh = trimesh.Trimesh(
@@ -106,7 +106,7 @@ def test_textures_are_looked_up_and_tinted(tmp_path):
     np.testing.assert_allclose(albedo, [[1, 0, 0], [0, 0, 0.5 * srgb_albedo(188 / 255)]], atol=4e-3)
 
 
-def test_a_changed_file_is_read_again(tmp_path):
+def test_changed_file_is_read_again(tmp_path):
     path = tmp_path / "box.ply"
     trimesh.creation.box().export(path)
     assert len(read_model(str(path)).triangles) == 12
@@ -142,7 +142,7 @@ def broken(path):
         ("line.obj", without_area, "no triangle with an area"),
     ],
 )
-def test_what_is_no_model_is_refused_in_one_line(tmp_path, capfd, name, write, said):
+def test_invalid_model_is_rejected_in_one_line(tmp_path, capfd, name, write, said):
     write(tmp_path / name)
     with pytest.raises(SourceError) as caught:
         read_model(str(tmp_path / name))
@@ -151,12 +151,12 @@ def test_what_is_no_model_is_refused_in_one_line(tmp_path, capfd, name, write, s
     assert capfd.readouterr() == ("", "")
 
 
-def test_too_many_triangles(tmp_path, monkeypatch):
+def test_model_with_too_many_triangles_is_rejected(tmp_path, monkeypatch):
     trimesh.creation.box().export(tmp_path / "box.ply")
     monkeypatch.setattr(models, "MAX_MODEL_TRIANGLES", 11)
     with pytest.raises(SourceError, match="12 triangles, more than the limit of 11"):
         read_model(str(tmp_path / "box.ply"))
 
 
-def test_models_are_known_by_their_names():
+def test_is_model_checks_the_file_suffix():
     assert is_model("A/B.GLB") and is_model("x.obj") and not is_model("x.geojson") and not is_model("obj")

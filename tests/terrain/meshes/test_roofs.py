@@ -1,4 +1,4 @@
-"""Roofs with slopes: closed, as high and as large as closed forms say, and only over what is nearly a rectangle."""
+"""Pitched and hipped roofs: closed, with closed-form heights and volumes, and only over nearly rectangular footprints."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from skugga.terrain.scene import build_scene
 
 UTM = "EPSG:32633"
 SCALE = 0.9996
-"""Of UTM at its middle meridian: metres of the map per metre of the ground."""
+"""UTM scale at the central meridian: metres of the map per metre on the ground."""
 
 GROUND_M, WIDTH_M, LENGTH_M, HEIGHT_M = 50.0, 8.0, 14.0, 6.0
 
 
 @pytest.fixture
 def house(write_raster, tmp_path):
-    """``house(form, outline, height)`` are the bodies of a level's houses over level ground, and heights of their vertices."""
+    """Return ``house(form, outline, height)``, which builds a house on level ground and returns its body and vertex heights."""
     ground = write_raster(np.full((40, 40), GROUND_M, np.float32), UTM, 500000, 5000400, 10)
 
     def make(form: str | None, outline=None, height=HEIGHT_M, **keys):
@@ -47,7 +47,7 @@ def house(write_raster, tmp_path):
 
 
 def rectangle(width=WIDTH_M, length=LENGTH_M, turn=0.0):
-    """A footprint so wide and long on the ground, turned counter-clockwise."""
+    """Return a footprint of a width and length on the ground, rotated counter-clockwise."""
     box = shapely.box(500200.0, 5000200.0, 500200.0 + length * SCALE, 5000200.0 + width * SCALE)
     return affinity.rotate(box, turn)
 
@@ -58,7 +58,7 @@ def rise(width=WIDTH_M, height=HEIGHT_M) -> float:
 
 @pytest.mark.parametrize("turn", [0.0, 33.0, 90.0, 200.0])
 @pytest.mark.parametrize("form", ["pitched", "hipped", "auto"])
-def test_the_ridge_is_at_the_height_and_the_eaves_below_it(house, form, turn):
+def test_ridge_is_at_the_height_and_the_eaves_below_it(house, form, turn):
     body, height = house(form, rectangle(turn=turn))
     assert body.closed
     levels = np.unique(height.round(4))
@@ -66,7 +66,7 @@ def test_the_ridge_is_at_the_height_and_the_eaves_below_it(house, form, turn):
 
 
 @pytest.mark.parametrize("turn", [0.0, 57.0])
-def test_volumes_are_those_of_prisms_and_pyramids(house, turn):
+def test_roof_volumes_are_those_of_prisms_and_pyramids(house, turn):
     area, block = WIDTH_M * LENGTH_M, HEIGHT_M - rise() + FOOTING_M
     pitched, _ = house("pitched", rectangle(turn=turn))
     assert pitched.volume_m3 == pytest.approx(area * (block + rise() / 2.0), rel=1e-3)
@@ -78,7 +78,7 @@ def test_volumes_are_those_of_prisms_and_pyramids(house, turn):
     assert flat.volume_m3 == pytest.approx(area * (HEIGHT_M + FOOTING_M), rel=1e-3)
 
 
-def test_slopes_are_as_steep_as_tiles_want_it_and_gables_are_walls(house):
+def test_roof_slopes_face_up_and_gables_have_wall_colour(house):
     body, _ = house("pitched", rectangle())
     corner = body.vertices_m[body.triangles]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -112,12 +112,12 @@ def corners(outline) -> np.ndarray:
     ],
     ids=["house", "hall", "tower", "kiosk", "L", "trapezoid", "triangle"],
 )
-def test_what_gets_a_roof(outline, height_m, forms):
+def test_roof_over_needs_a_rectangle_and_a_suitable_size(outline, height_m, forms):
     given = {form for form in ("auto", "flat", "pitched", "hipped") if roof_over(corners(outline), height_m, form) is not None}
     assert given == forms
 
 
-def test_what_cannot_have_one_is_flat_and_other_meshes_refuse_the_key(house):
+def test_unsuitable_roof_is_flat_and_other_meshes_reject_it(house):
     outline = affinity.translate(shapely.Polygon([(0, 0), (12, 0), (12, 8), (6, 8), (6, 4), (0, 4)]), 500200, 5000200)
     body, height = house("pitched", outline)
     assert body.closed and len(np.unique(height.round(3))) == 2

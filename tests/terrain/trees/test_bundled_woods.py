@@ -1,4 +1,4 @@
-"""The woods of the bundled level: stands of other densities meet along borders that no visitor takes for a tile's."""
+"""Woods of the bundled level: adjacent stands of different density have natural borders, without straight edges or gaps."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from shapely.geometry import shape
 
 STANDS = "woods", "pines", "between", "hills"
 METRES = np.array([89_500.0, 111_000.0])
-"""Of a degree east and north, there."""
+"""Metres of a degree east and north in this level."""
 
 
 def stand(name: str) -> shapely.Geometry:
-    """A stand's outline in metres."""
+    """Return the outline of a stand in metres."""
     features = json.loads((Path("configs") / f"jacksboro_{name}.geojson").read_text())["features"]
     outlines = [shapely.transform(shape(feature["geometry"]), lambda places: places * METRES) for feature in features]
     assert all(shapely.is_valid(outlines))
@@ -25,7 +25,9 @@ def stand(name: str) -> shapely.Geometry:
 
 
 def longest_along_an_axis(outline: shapely.Geometry) -> float:
-    """The longest piece of an outline, metres, that runs within 3 degrees of north or east; pieces that go on are one."""
+    """Return the length in metres of the longest run of an outline within 3 degrees of north or east; collinear pieces count as
+    one.
+    """
     longest = 0.0
     for ring in shapely.get_rings(shapely.get_parts(outline)):
         steps = np.diff(shapely.get_coordinates(ring), axis=0)
@@ -38,11 +40,11 @@ def longest_along_an_axis(outline: shapely.Geometry) -> float:
 
 
 @pytest.mark.parametrize("name", ["woods", "between", "hills"])
-def test_no_border_of_a_wood_is_a_straight_line_of_the_map(name):
+def test_wood_has_no_straight_border_along_a_map_axis(name):
     assert longest_along_an_axis(stand(name)) < 400.0
 
 
-def test_woods_of_two_densities_meet_without_a_gap_or_an_overlap():
+def test_adjacent_woods_have_no_gaps_or_overlaps():
     woods = {name: stand(name) for name in STANDS}
     for one, other in itertools.combinations(STANDS, 2):
         assert woods[one].intersection(woods[other]).area < 3e-3 * min(woods[one].area, woods[other].area)
@@ -51,6 +53,6 @@ def test_woods_of_two_densities_meet_without_a_gap_or_an_overlap():
     assert slivers.area < 0.004 * whole.area
 
 
-def test_a_border_of_which_a_part_is_straight_is_told():
+def test_longest_along_an_axis_measures_straight_runs():
     assert longest_along_an_axis(shapely.box(0.0, 0.0, 300.0, 100.0)) == pytest.approx(300.0)
     assert longest_along_an_axis(shapely.Point(0.0, 0.0).buffer(100.0)) < 30.0

@@ -1,4 +1,4 @@
-"""Pictures of trees are painted once and then read from disk, unless what paints them has changed."""
+"""Cached pictures of trees: painted once and then read from disk, unless the code that paints them changes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 class Painter:
-    """Paints, and counts how often."""
+    """Paint pictures, and count the calls."""
 
     def __init__(self) -> None:
         self.times = 0
@@ -33,7 +33,7 @@ def source(tmp_path) -> Path:
     return path
 
 
-def test_what_was_painted_before_is_read(tmp_path, source):
+def test_cached_pictures_are_read(tmp_path, source):
     paint = Painter()
     first, again = (cached_pictures(paint, (source,), tmp_path / "kept") for _ in range(2))
     assert paint.times == 1 and len(again) == 2
@@ -42,7 +42,7 @@ def test_what_was_painted_before_is_read(tmp_path, source):
         np.testing.assert_array_equal(one, other)
 
 
-def test_other_code_and_other_packages_paint_anew_and_one_painting_is_kept(tmp_path, source, monkeypatch):
+def test_changed_code_or_packages_repaint_and_replace(tmp_path, source, monkeypatch):
     paint = Painter()
     cached_pictures(paint, (source,), tmp_path / "kept")
     source.write_text("green = 2", encoding="utf-8")
@@ -63,7 +63,7 @@ def test_other_code_and_other_packages_paint_anew_and_one_painting_is_kept(tmp_p
         lambda content: content[:400] + b"\xff\xfe\xfd" + content[403:],
     ],
 )
-def test_a_damaged_file_is_painted_anew(tmp_path, source, damage):
+def test_damaged_file_is_repainted(tmp_path, source, damage):
     paint = Painter()
     cached_pictures(paint, (source,), tmp_path / "kept")
     (path,) = (tmp_path / "kept").iterdir()
@@ -74,15 +74,15 @@ def test_a_damaged_file_is_painted_anew(tmp_path, source, damage):
     assert paint.times == 2
 
 
-def test_a_folder_that_cannot_be_made_is_no_error(tmp_path, source):
+def test_unwritable_folder_is_no_error(tmp_path, source):
     (tmp_path / "file").write_text("", encoding="utf-8")
     paint = Painter()
     assert len(cached_pictures(paint, (source,), tmp_path / "file" / "kept")) == 2
     assert paint.times == 1
 
 
-def test_all_code_that_paints_counts():
-    """What the painters import of the project is among the files that are looked at, but for what cannot change a picture."""
+def test_painter_files_include_all_imported_code():
+    """Modules of the project that painters import are part of the cache key, except modules that cannot change a picture."""
     apart = {"skugga.terrain.cache", "skugga.terrain.compiled", "skugga.terrain.errors", "skugga.terrain.trees.cached_pictures"}
     files = {path.resolve() for path in PAINTER_FILES}
     assert len(files) == 3

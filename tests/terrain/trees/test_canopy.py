@@ -1,4 +1,4 @@
-"""Tree tops in canopy heights: known bumps, windows, units, coarse rasters, and a published inventory."""
+"""Tree tops in canopy heights: known peaks, windows, units, coarse rasters, and a published inventory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CELL = 0.5
 
 
 def bumps(rows: int, cols: int, tops: np.ndarray, height_m: np.ndarray, width_m: float = 1.2) -> np.ndarray:
-    """Gaussian crowns at (row, col), the highest of all at each cell."""
+    """Return Gaussian crowns at (row, col); each cell has the height of the highest crown."""
     row, col = np.mgrid[0:rows, 0:cols]
     square = ((row[..., None] - tops[:, 0]) ** 2 + (col[..., None] - tops[:, 1]) ** 2) * CELL**2
     return (height_m * np.exp(-square / (2 * width_m**2))).max(axis=-1).astype(np.float32)
@@ -36,7 +36,7 @@ def trees_of(canopy: Canopy, crs: CRS = UTM, species: str = "conifer"):
 
 @pytest.fixture(scope="module")
 def grove():
-    """Tops at least 5 m apart and their heights."""
+    """Return tops with a spacing of at least 5 m, their heights, and a raster of unit crowns."""
     rng, tops = np.random.default_rng(3), []
     for place in rng.integers(4, 196, (4000, 2)):
         if all(np.hypot(*(place - other)) * CELL >= 5.0 for other in tops):
@@ -45,7 +45,7 @@ def grove():
     return tops, rng.uniform(6.0, 25.0, len(tops)).astype(np.float32), bumps(200, 200, tops, np.float32(1.0))
 
 
-def test_bumps_are_found_one_by_one(write_raster, grove):
+def test_separate_crowns_are_found_one_by_one(write_raster, grove):
     tops, heights, _ = grove
     raster = bumps(200, 200, tops, heights)
     x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000100, CELL))))
@@ -56,7 +56,7 @@ def test_bumps_are_found_one_by_one(write_raster, grove):
     np.testing.assert_allclose(height_m[found], heights[order], rtol=1e-6)
 
 
-def test_blocks_agree_with_the_whole(write_raster, monkeypatch):
+def test_blocks_agree_with_the_whole_raster(write_raster, monkeypatch):
     raster = np.random.default_rng(0).integers(0, 12, (120, 150)).astype(np.int16)  # ties everywhere
     canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)))
     whole = set(zip(*trees_of(canopy), strict=True))
@@ -64,7 +64,7 @@ def test_blocks_agree_with_the_whole(write_raster, monkeypatch):
     assert set(zip(*trees_of(canopy), strict=True)) == whole
 
 
-def test_no_top_has_a_higher_cell_in_its_window(write_raster):
+def test_tops_are_the_maxima_of_their_windows(write_raster):
     raster = np.random.default_rng(1).gamma(2.0, 5.0, (80, 90)).astype(np.float32)
     canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)))
     ((row, col, height_m),) = canopy.tops(np.diag([CELL, -CELL]), CellWindow(0, 0, 80, 90), (0.8, 0.05))
@@ -80,15 +80,15 @@ def test_no_top_has_a_higher_cell_in_its_window(write_raster):
     assert set(zip(row.tolist(), col.tolist(), strict=True)) == expected
 
 
-def test_a_flat_canopy_bears_trees_a_window_apart(write_raster):
+def test_flat_canopy_has_trees_a_window_apart(write_raster):
     canopy = Canopy(str(write_raster(np.full((100, 100), 20, np.int16), "EPSG:32633", 500000, 5000000, CELL)))
     x, y, _ = trees_of(canopy)
     nearest = cKDTree(np.column_stack([x, y])).query(np.column_stack([x, y]), k=2)[0][:, 1]
     assert nearest.min() > 0.8 + 0.05 * 20
-    assert len(x) > 2500 / (np.pi * 1.8**2) / 2  # Matern's second process keeps one of a window's area
+    assert len(x) > 2500 / (np.pi * 1.8**2) / 2  # Matérn's second process keeps one tree per window area
 
 
-def test_no_data_zero_negative_and_absurd_cells_bear_no_trees(write_raster):
+def test_invalid_canopy_cells_have_no_trees(write_raster):
     raster = np.zeros((40, 40), np.float32)
     raster[5, 5], raster[5, 20], raster[20, 5], raster[20, 20], raster[30, 30] = np.nan, -9999.0, 1.9, 4000.0, -3.0
     raster[35, 10] = 8.0
@@ -96,7 +96,7 @@ def test_no_data_zero_negative_and_absurd_cells_bear_no_trees(write_raster):
     assert trees_of(canopy)[2].tolist() == [8.0]
 
 
-def test_feet_become_metres(write_raster):
+def test_canopy_heights_in_feet_are_converted(write_raster):
     raster = np.zeros((20, 20), np.float32)
     raster[10, 10] = 100.0
     path = write_raster(raster, "EPSG:32633", 500000, 5000000, CELL)
@@ -105,16 +105,16 @@ def test_feet_become_metres(write_raster):
     assert trees_of(Canopy(str(path)))[2] == pytest.approx([30.48])
 
 
-def test_a_raster_in_degrees_finds_the_same_trees(write_raster, grove):
-    """A window is round on the ground, not in cells: 60 degrees north they are half as wide as high."""
+def test_canopy_in_degrees_has_the_same_trees(write_raster, grove):
+    """Windows are circles on the ground: at 60 degrees north, a degree of longitude is half as long as one of latitude."""
     tops, heights, _ = grove
-    step = CELL / 111_412.0  # a second of latitude at 60 degrees
+    step = CELL / 111_412.0  # half a metre in degrees of latitude at 60 degrees
     raster = bumps(200, 200, tops, heights)
     x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:4326", 15.0, 60.0, (2 * step, step)))))
     assert sorted(height_m.tolist()) == pytest.approx(sorted(heights.tolist()))
 
 
-def test_a_coarse_canopy_is_scattered_as_dense_as_its_crowns_close(write_raster):
+def test_coarse_canopy_is_scattered_with_closed_crowns(write_raster):
     raster = np.zeros((60, 80), np.float32)
     raster[10:50, 10:70] = 15.0  # 400 m x 600 m
     raster[20:30, 20:30] = np.nan
@@ -131,8 +131,8 @@ def test_a_coarse_canopy_is_scattered_as_dense_as_its_crowns_close(write_raster)
     assert cKDTree(np.column_stack([x, y])).query(np.column_stack([x, y]), k=2)[0][:, 1].min() > 0.4 * crown_m
 
 
-def test_wide_cells_show_tall_trees_and_low_canopy_is_scattered(write_raster):
-    """2.5 m cells: tall trees 15 m apart over shrubs whose crowns are narrower than a cell."""
+def test_wide_cells_show_tall_trees_over_scattered_shrubs(write_raster):
+    """Cells are 2.5 m wide. Tall trees are 15 m apart, over shrubs with crowns narrower than a cell."""
     raster = np.full((120, 120), 3.0, np.float32)
     raster[3::6, 3::6] = 20.0
     x, y, height_m = trees_of(Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000000, 2.502))))
@@ -142,7 +142,7 @@ def test_wide_cells_show_tall_trees_and_low_canopy_is_scattered(write_raster):
     assert len(x) - 400 == pytest.approx(PACKING * (300.24**2 - 400 * 2.502**2) / (1.0 + 0.25 * 3.0) ** 2, rel=0.2)
 
 
-def test_the_height_from_which_cells_show_trees():
+def test_detection_limit_grows_with_cell_size():
     def crown_of(height_m):
         return 1.0 + 0.25 * height_m
 
@@ -155,14 +155,14 @@ def test_the_height_from_which_cells_show_trees():
     )
 
 
-def test_a_broad_crown_with_several_humps_is_one_broadleaved_tree_and_several_conifers(write_raster):
+def test_multi_peaked_crown_is_one_broadleaf_or_many_conifers(write_raster):
     humps = np.array([[100, 100], [100, 105], [105, 100], [96, 97]])  # 2.5 m apart
     raster = bumps(200, 200, humps, np.array([20.0, 19.0, 18.5, 18.0], np.float32))
     canopy = Canopy(str(write_raster(raster, "EPSG:32633", 500000, 5000100, CELL)))
     assert [len(trees_of(canopy, species=species)[0]) for species in ("conifer", "broadleaf")] == [4, 1]
 
 
-def test_the_broadleaved_window_is_half_a_deciduous_crown():
+def test_broadleaf_window_is_half_a_deciduous_crown():
     height_m = np.linspace(8.0, 25.0, 100)
     base, slope = TREETOP_WINDOW_M["broadleaf"]
     np.testing.assert_allclose(base + slope * height_m, (3.09632 + 0.00895 * height_m**2) / 2, atol=0.22)
@@ -170,7 +170,7 @@ def test_the_broadleaved_window_is_half_a_deciduous_crown():
     assert (base + slope * height_m > conifer[0] + conifer[1] * height_m).all()
 
 
-def test_a_coarse_canopy_far_from_its_origin_in_a_flat_world(write_raster):
+def test_coarse_canopy_far_from_the_origin_of_a_flat_world(write_raster):
     raster = np.full((30, 40), 12.0, np.float32)
     canopy = Canopy(str(write_raster(raster, ENGINEERING, 7000, 90000, 10.0)))
     x, y, _ = trees_of(canopy, canopy.crs)
@@ -178,7 +178,7 @@ def test_a_coarse_canopy_far_from_its_origin_in_a_flat_world(write_raster):
     assert np.histogram2d(x, y, bins=4)[0].min() > len(x) / 16 * 0.8
 
 
-def test_height_classes_hold_every_height_and_grow_by_a_root_of_two():
+def test_height_classes_cover_all_heights_in_root_two_steps():
     def crown_of(height_m):
         return 1.0 + 0.3 * height_m
 
@@ -197,15 +197,16 @@ def test_room_is_the_mean_distance_to_three_neighbours():
 @pytest.mark.parametrize(
     ("dtype", "crs", "message"), [(np.float32, None, "no coordinate reference system"), (np.complex64, "EPSG:32633", "complex64")]
 )
-def test_rasters_that_cannot_be_canopies_are_refused(write_raster, dtype, crs, message):
+def test_invalid_canopy_rasters_are_rejected(write_raster, dtype, crs, message):
     data = np.zeros((4, 4), dtype)
     with pytest.raises(SourceError, match=message):
         Canopy(str(write_raster(data, crs, 0, 8, 2)))
 
 
-def test_kootenay_inventory(shared_data):
-    """ForestTools' inventory of this canopy (its ``vwf`` with the same window and 1.5 m as least height) has a point for each of
-    several equal cells, here one tree.
+def test_kootenay_inventory_is_reproduced(shared_data):
+    """Compare with the inventory that ForestTools computed from this canopy (``vwf``, the same window, minimum height 1.5 m).
+
+    ForestTools reports a point for each of several equal cells, which are one tree here.
     """
     _, _, wkb, (height_m, *_) = pyogrio.raw.read(shared_data / "forest" / "kootenay_treetops.gpkg")
     inventory = shapely.get_coordinates(shapely.from_wkb(wkb))

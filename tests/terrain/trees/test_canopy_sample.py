@@ -1,4 +1,4 @@
-"""What canopies say of themselves: units, low and absurd cells, heights above the sea, and what was planted of them."""
+"""Checks and reports on canopies: units, low and absurd cells, heights above sea level, and notes on planted trees."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.terrain.trees.test_forest import UTM, X0, Y0, hill, plane, vectors, x
 
 @pytest.fixture
 def planting(hill, make_scene, write_raster):  # noqa: F811
-    """``planting(heights, cell_m, unit)``: what comes of a canopy in the corner of a slope from 200 m to 400 m."""
+    """Return ``planting(heights, cell_m, unit)``, which plants a canopy in the corner of a slope from 200 m to 400 m."""
 
     def plant(heights: np.ndarray, cell_m: float = 1.0, unit: str | None = None, **keys):
         source = write_raster(heights.astype(np.float32), UTM, X0 + 500, Y0 - 500, cell_m, name="canopy.tif")
@@ -31,13 +31,13 @@ def planting(hill, make_scene, write_raster):  # noqa: F811
 
 
 def tops(value: float) -> np.ndarray:
-    """Nine single cells of a height in 10,000 cells."""
+    """Return 10,000 cells, nine of which have a height."""
     heights = np.zeros((100, 100))
     heights[20:80:25, 20:80:25] = value
     return heights
 
 
-def test_shares_of_cells_are_counted():
+def test_height_class_shares_are_fractions_of_cells():
     cells = height_class_shares(np.array([np.nan, 0.0, -3.0, 0.49, 0.5, 1.99, 2.0, 150.0, 150.1, 9000.0]))
     assert (cells.unknown, cells.bare, cells.low, cells.tall, cells.absurd) == pytest.approx((0.1, 0.3, 0.2, 0.2, 0.2))
     assert cells.left_out(2.0) == (
@@ -56,18 +56,18 @@ def test_heights_are_in_the_unit_of_the_band(planting, unit, value):
     assert note.endswith("canopy.tif: 9 trees planted; left out: of its cells 99.9 % lower than 0.5 m")
 
 
-def test_a_unit_that_is_none_is_refused(planting):
+def test_unknown_unit_is_rejected(planting):
     with pytest.raises(SourceError, match="canopy.tif: the unit furlong of its band is unknown. Use one of .*dm"):
         planting(tops(8.0), unit="furlong")
 
 
 @pytest.mark.parametrize(("value", "is_told"), [(120.0, True), (60.0, False)])
-def test_a_wood_higher_than_woods_are_is_told(planting, value, is_told):
-    found = planting(tops(value))  # 12 m in decimetres, without a unit; and giants
+def test_implausibly_tall_wood_is_reported(planting, value, is_told):
+    found = planting(tops(value))  # 12 m in decimetres without a unit, or giant trees
     assert found.trees is not None and ("higher than 80 m. Check the unit" in " ".join(found.warnings)) is is_told
 
 
-def test_a_canopy_that_plants_nothing_says_why(planting):
+def test_canopy_without_trees_explains_why(planting):
     found = planting(tops(250.0))  # decimetres without a unit
     assert found.trees is None and len(found.warnings) == 2
     assert "most of its cells with trees are higher than 80 m. Check the unit of its heights." in found.warnings[0]
@@ -80,7 +80,7 @@ def test_a_canopy_that_plants_nothing_says_why(planting):
 
 @pytest.mark.parametrize("height_m", [0.6, 1.0, 1.8])
 def test_hedges_and_vines_are_planted(planting, height_m):
-    """Rows 1 m wide and 5 m apart."""
+    """Rows are 1 m wide and 5 m apart."""
     rows = np.zeros((100, 100))
     rows[::5] = height_m
     found = planting(rows)
@@ -89,9 +89,10 @@ def test_hedges_and_vines_are_planted(planting, height_m):
     assert found.notes[0].endswith("left out: of its cells 80 % lower than 0.5 m")
 
 
-def test_a_hedge_throws_its_shadow(hill, make_scene, write_raster):  # noqa: F811
-    """1.8 m high and 2 m wide, under a sun in the south at 30 degrees: shade fills most of what is near, and ends 3.1 m
-    (1.8 m / tan 30 degrees) north of it.
+def test_hedge_casts_a_shadow(hill, make_scene, write_raster):  # noqa: F811
+    """The hedge is 1.8 m high and 2 m wide, with the sun in the south at 30 degrees.
+
+    Its shadow covers most of the ground nearby and ends 3.1 m north of it (1.8 m / tan 30 degrees).
     """
     heights = np.zeros((60, 60))
     heights[30:32] = 1.8
@@ -108,7 +109,7 @@ def test_a_hedge_throws_its_shadow(hill, make_scene, write_raster):  # noqa: F81
     assert shaded[0.5] > 0.6 and shaded[4.0] == 0.0
 
 
-def test_undergrowth_is_left_out_unless_the_level_asks_for_it(planting):
+def test_undergrowth_needs_a_least_height(planting):
     wood = np.zeros((100, 100))
     wood[:, :40] = 1.2
     wood[::3, 40::3] = 15.0
@@ -121,7 +122,7 @@ def test_undergrowth_is_left_out_unless_the_level_asks_for_it(planting):
     assert planting(wood, least_height=10.0).trees.height_m.min() == 15.0
 
 
-def test_shrubs_of_coarse_cells_and_too_many_are_left_out(planting, monkeypatch):
+def test_coarse_or_too_many_shrubs_are_omitted(planting, monkeypatch):
     scrub = np.full((40, 40), 1.0)
     assert (
         planting(scrub, cell_m=10.0)
@@ -133,8 +134,8 @@ def test_shrubs_of_coarse_cells_and_too_many_are_left_out(planting, monkeypatch)
     assert planting(scrub).trees is None
 
 
-def test_heights_above_the_sea_are_refused(planting):
-    """The surface over crowns of up to 25 m, on a slope of 0.1 in x and 0.05 in y."""
+def test_canopy_above_sea_level_is_rejected(planting):
+    """The raster is the surface over crowns of up to 25 m, on a slope of 0.1 in x and 0.05 in y."""
     row, col = np.mgrid[0:100, 0:100]
     ground = plane(X0 + 500 + col + 0.5, Y0 - 500 - row - 0.5)
     crowns = np.random.default_rng(1).uniform(0.0, 25.0, ground.shape)
@@ -145,7 +146,7 @@ def test_heights_above_the_sea_are_refused(planting):
     assert len(planting(crowns).trees.rank) > 500
 
 
-def test_heights_above_the_sea_are_told_from_tall_trees_on_low_ground():
+def test_heights_above_sea_level_differ_from_tall_trees():
     rng = np.random.default_rng(2)
     crowns = rng.uniform(0.0, 25.0, 4000)
     slope, flat = np.linspace(5.0, 40.0, 4000), np.full(4000, 40.0)
@@ -154,10 +155,10 @@ def test_heights_above_the_sea_are_told_from_tall_trees_on_low_ground():
             check_above_ground("canopy.tif", ground + crowns, ground)
     for heights, ground in ((crowns, slope / 10), (crowns + 5.0, np.full(4000, 5.0)), (crowns, flat), (flat, slope)):
         check_above_ground("canopy.tif", heights, ground)
-    check_above_ground("canopy.tif", np.full(10, 45.0), np.full(10, 40.0))  # too few to tell
+    check_above_ground("canopy.tif", np.full(10, 45.0), np.full(10, 40.0))  # too few values to decide
 
 
-def test_an_exaggerated_terrain_changes_nothing_of_that(hill, make_scene, write_raster):  # noqa: F811
+def test_sea_level_check_ignores_exaggeration(hill, make_scene, write_raster):  # noqa: F811
     row, col = np.mgrid[0:100, 0:100]
     surface = plane(X0 + 500 + col + 0.5, Y0 - 500 - row - 0.5) + 10.0 * np.random.default_rng(1).random((100, 100))
     source = write_raster(surface.astype(np.float32), UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif")
@@ -166,7 +167,7 @@ def test_an_exaggerated_terrain_changes_nothing_of_that(hill, make_scene, write_
         plant_trees(scene.loaded, scene.world, scene.elevation)
 
 
-def test_stands_say_what_became_of_their_points(hill, make_scene, vectors):  # noqa: F811
+def test_notes_report_omitted_points_of_a_stand(hill, make_scene, vectors):  # noqa: F811
     import shapely
 
     points = shapely.points([[5, 5], [15, 5], [25, 5], [-50, 5]])

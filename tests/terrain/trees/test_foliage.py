@@ -1,4 +1,4 @@
-"""The pictures of trees: their mips keep coverage and colour, their outlines are those of trees."""
+"""Pictures of trees: mip levels keep coverage and colour, and outlines look like trees."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LAYERS = range(2 * len(TREE_VARIANTS))
 
 
 def bilinear(n: int, points: int = 4) -> np.ndarray:
-    """Matrix (points * n, n) that samples n texels at the middles of ``points`` parts of each, clamped to the edge."""
+    """Return the matrix (points * n, n) that samples n texels at the centres of ``points`` parts of each, clamped to the edge."""
     at = np.clip((np.arange(points * n) + 0.5) / points - 0.5, 0.0, n - 1.0)
     return np.maximum(1.0 - np.abs(at[:, None] - np.arange(n)), 0.0)
 
@@ -39,7 +39,7 @@ def opaque(rgba: np.ndarray) -> np.ndarray:
 
 
 def pattern(kind: str, size: int = 64) -> np.ndarray:
-    """A field whose lowest part, cut anywhere, is a cut-out of the wanted coverage."""
+    """Return a field from which any quantile cuts out the requested coverage."""
     rng = np.random.default_rng(7)
     y, x = np.indices((size, size)) - (size - 1) / 2
     fields = {
@@ -69,13 +69,13 @@ def pictures() -> Foliage:
 def test_mips_keep_coverage(kind: str, share: float) -> None:
     levels = coverage_mips(cut_out(pattern(kind), share), THRESHOLD)
     assert [level.shape[0] for level in levels] == [64, 32, 16, 8, 4]
-    assert coverage(levels[0]) == pytest.approx(share, abs=0.06)  # bilinear magnification moves the edges a little
+    assert coverage(levels[0]) == pytest.approx(share, abs=0.06)  # bilinear magnification moves the edges slightly
     for level in levels[1:-1]:
         assert coverage(level) == pytest.approx(coverage(levels[0]), abs=0.02)
 
 
 def test_plain_means_do_not_keep_coverage() -> None:
-    """Else the test above could not fail."""
+    """Plain means lose coverage, so the test above can fail."""
     alpha = cut_out(pattern("fine blobs"), 0.2)[..., 3] / 255.0
     mean = alpha.reshape(8, 8, 8, 8).mean(axis=(1, 3))
     assert coverage(np.dstack([255 * mean] * 4)) < 0.05 < coverage(np.dstack([255 * alpha] * 4))
@@ -89,13 +89,13 @@ def test_mips_keep_coverage_at_other_thresholds(threshold: float) -> None:
 
 
 @pytest.mark.parametrize("alpha", [0, 255])
-def test_empty_and_full_pictures_stay_so(alpha: int) -> None:
+def test_empty_and_full_pictures_keep_their_coverage(alpha: int) -> None:
     levels = coverage_mips(np.full((32, 64, 4), alpha, np.uint8), THRESHOLD)
     assert [level.shape for level in levels] == [(32, 64, 4), (16, 32, 4), (8, 16, 4), (4, 8, 4)]
     assert {coverage(level) for level in levels} == {alpha / 255.0}
 
 
-def test_mips_leave_level_0_alone_where_it_shows() -> None:
+def test_mips_do_not_change_opaque_texels_of_level_0() -> None:
     rgba = np.random.default_rng(3).integers(0, 256, (64, 64, 4), dtype=np.uint8)
     level = coverage_mips(rgba, THRESHOLD)[0]
     assert np.array_equal(level[..., 3], rgba[..., 3])
@@ -116,18 +116,18 @@ def test_mips_average_in_linear_light() -> None:
 
 
 @pytest.mark.parametrize("shape", [(6, 8, 4), (2, 4, 4), (8, 8, 3), (8, 8)])
-def test_a_picture_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
+def test_picture_of_another_shape_is_rejected(shape: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="powers of two"):
         coverage_mips(np.zeros(shape, np.uint8), THRESHOLD)
 
 
 @pytest.mark.parametrize("threshold", [0.0, 1.0, float("nan")])
-def test_a_threshold_outside_alpha_is_refused(threshold: float) -> None:
+def test_threshold_outside_alpha_is_rejected(threshold: float) -> None:
     with pytest.raises(InputError, match="threshold"):
         coverage_mips(np.zeros((8, 8, 4), np.uint8), threshold)
 
 
-def test_looks() -> None:
+def test_tree_variants_cover_both_species() -> None:
     assert len({variant.name for variant in TREE_VARIANTS}) == len(TREE_VARIANTS)
     assert sum(variant.species == "conifer" for variant in TREE_VARIANTS) >= 4
     assert sum(variant.species == "broadleaf" for variant in TREE_VARIANTS) >= 4
@@ -135,17 +135,17 @@ def test_looks() -> None:
     assert all(0.0 < variant.crown_height < 1.0 and 0.1 < variant.crown_to_height < 1.2 for variant in TREE_VARIANTS)
 
 
-def test_a_look_names_the_proportions_it_is_painted_in() -> None:
+def test_tree_variants_have_the_proportions_of_their_models() -> None:
     assert all(variant.crown_to_height == pytest.approx(2.0 * model.radius) for variant, model in module._VARIANT_MODELS)
 
 
-def test_levels(pictures: Foliage) -> None:
+def test_foliage_has_a_full_mip_chain(pictures: Foliage) -> None:
     sizes = [256, 128, 64, 32, 16, 8, 4]
     assert [level.shape for level in pictures.levels] == [(2 * len(TREE_VARIANTS), s, s, 4) for s in sizes]
     assert all(level.dtype == np.uint8 for level in pictures.levels)
 
 
-def test_two_makings_are_equal(pictures: Foliage) -> None:
+def test_foliage_is_reproducible(pictures: Foliage) -> None:
     def digest(made: Foliage) -> str:
         return hashlib.sha256(b"".join(level.tobytes() for level in made.levels)).hexdigest()
 
@@ -153,18 +153,18 @@ def test_two_makings_are_equal(pictures: Foliage) -> None:
     assert foliage() is pictures
 
 
-def test_every_layer_is_another_picture(pictures: Foliage) -> None:
+def test_layers_are_different_pictures(pictures: Foliage) -> None:
     assert len({layer.tobytes() for layer in pictures.levels[0]}) == 2 * len(TREE_VARIANTS)
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_trees_keep_coverage(pictures: Foliage, layer: int) -> None:
+def test_tree_mips_keep_coverage(pictures: Foliage, layer: int) -> None:
     for level in pictures.levels[1:-1]:
         assert coverage(level[layer]) == pytest.approx(coverage(pictures.levels[0][layer]), abs=0.02)
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_the_outermost_texels_are_clear(pictures: Foliage, layer: int) -> None:
+def test_outermost_texels_are_transparent(pictures: Foliage, layer: int) -> None:
     alpha = pictures.levels[0][layer, ..., 3]
     assert not alpha[0].any() and not alpha[:, 0].any() and not alpha[:, -1].any()
     foot = np.flatnonzero(alpha[-1])
@@ -175,14 +175,14 @@ def test_the_outermost_texels_are_clear(pictures: Foliage, layer: int) -> None:
 
 
 @pytest.mark.parametrize("layer", SIDES)
-def test_a_stem_stands_on_the_last_row_and_reaches_the_top(pictures: Foliage, layer: int) -> None:
+def test_stem_reaches_from_the_last_row_to_the_top(pictures: Foliage, layer: int) -> None:
     shown = opaque(pictures.levels[0][layer])
     assert shown[-1, 127:129].all()
     assert shown[1:].any(axis=1).all() and shown[1].any()
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_the_crown_spans_the_width(pictures: Foliage, layer: int) -> None:
+def test_crown_spans_the_width(pictures: Foliage, layer: int) -> None:
     shown = opaque(pictures.levels[0][layer])
     spans = [np.ptp(np.flatnonzero(row)) + 1 for row in shown if row.any()]
     assert max(spans) >= 0.9 * 256
@@ -191,14 +191,14 @@ def test_the_crown_spans_the_width(pictures: Foliage, layer: int) -> None:
 
 
 @pytest.mark.parametrize("variant", WHORLED)
-def test_a_whorled_conifer_narrows_upwards(pictures: Foliage, variant: int) -> None:
+def test_whorled_conifer_narrows_upwards(pictures: Foliage, variant: int) -> None:
     width = opaque(pictures.levels[0][2 * variant]).sum(axis=1)
     thirds = [band.mean() for band in np.array_split(width[1:230], 3)]
     assert 1.5 * thirds[0] < thirds[1] and 1.15 * thirds[1] < thirds[2]
 
 
 @pytest.mark.parametrize("variant", range(len(TREE_VARIANTS)))
-def test_a_crown_is_closed_inside_and_open_at_the_rim(pictures: Foliage, variant: int) -> None:
+def test_crown_is_closed_inside_and_open_at_the_rim(pictures: Foliage, variant: int) -> None:
     shown = opaque(pictures.levels[0][2 * variant + 1])
     y, x = np.indices(shown.shape) - 127.5
     away = np.hypot(x, y) / 128.0
@@ -208,7 +208,7 @@ def test_a_crown_is_closed_inside_and_open_at_the_rim(pictures: Foliage, variant
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_green_is_an_albedo_of_leaves(pictures: Foliage, layer: int) -> None:
+def test_foliage_colour_is_an_albedo_of_leaves(pictures: Foliage, layer: int) -> None:
     rgba = pictures.levels[0][layer]
     red, green, blue = linear(rgba[opaque(rgba)][:, :3]).mean(axis=0)
     assert 0.03 < green < 0.15
@@ -216,7 +216,7 @@ def test_green_is_an_albedo_of_leaves(pictures: Foliage, layer: int) -> None:
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_no_mip_is_darker_or_lighter_than_the_tree(pictures: Foliage, layer: int) -> None:
+def test_tree_mips_keep_colour(pictures: Foliage, layer: int) -> None:
     wanted = linear(pictures.levels[0][layer][opaque(pictures.levels[0][layer])][:, :3]).mean(axis=0)
     for level in pictures.levels[1:-1]:
         mean = linear(level[layer][opaque(level[layer])][:, :3]).mean(axis=0)
@@ -224,7 +224,7 @@ def test_no_mip_is_darker_or_lighter_than_the_tree(pictures: Foliage, layer: int
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_what_borders_on_a_tree_has_its_colour(pictures: Foliage, layer: int) -> None:
+def test_transparent_texels_near_a_tree_have_its_colour(pictures: Foliage, layer: int) -> None:
     for level in pictures.levels[:3]:
         rgba = level[layer]
         near = binary_dilation(opaque(rgba), iterations=2) & (rgba[..., 3] == 0)

@@ -1,4 +1,4 @@
-"""Stands of trees: how many, where, how high, on which ground, and what is refused."""
+"""Stands of trees: number, positions, heights, ground below, and rejected input."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @pytest.fixture
 def hill(write_raster) -> Path:
-    """A slope of 2 km x 2 km whose north-west corner is (X0, Y0)."""
+    """Write a slope of 2 km x 2 km with its north-west corner at (X0, Y0)."""
     col, row = np.meshgrid(np.arange(200), np.arange(200))
     return write_raster(plane(X0 + 10 * col + 5, Y0 - 10 * row - 5).astype(np.float32), UTM, X0, Y0, 10)
 
 
 @pytest.fixture
 def vectors(tmp_path: Path):
-    """Writes geometries given in metres east and north of the terrain's south-west corner."""
+    """Return a function that writes geometries, in metres east and north of the terrain's south-west corner."""
 
     def write(geometries: list, name: str = "stand.gpkg", crs: str = UTM, origin=(X0, Y0 - SIDE), **attributes) -> str:
         moved = shapely.transform(np.array(geometries, object), lambda p: p + origin)
@@ -59,23 +59,23 @@ def planted(scene) -> Trees | None:
 
 
 def xyh(scene, trees: Trees) -> np.ndarray:
-    """Coordinates in the raster's CRS and heights of the feet, (n, 3)."""
+    """Return the coordinates of tree bases in the raster's CRS, with heights (n, 3)."""
     return np.column_stack(scene.world.map_position(scene.elevation.crs, trees.base_earth_m))
 
 
 # -- lattice
 
 
-def test_scattered_trees_are_as_many_as_the_density_says():
+def test_number_of_scattered_trees_follows_the_density():
     area = shapely.Point(13.0, -7.0).buffer(700.0)
     for density in (7.0, 120.0, 3000.0):
         expected = area.area / 1e4 * density
-        # One tree a cell: only cells on the rim vary.
+        # There is one tree per cell, so only cells on the rim vary.
         rim = area.length / np.sqrt(1e4 / density)
         assert len(scatter_trees(area, density, 5)) == pytest.approx(expected, abs=3 * np.sqrt(rim))
 
 
-def test_no_two_trees_are_nearer_than_half_a_cell_and_none_in_rows():
+def test_scattered_trees_keep_a_distance_and_form_no_rows():
     places = scatter_trees(shapely.box(-500, -500, 500, 500), 900.0, 1)
     pitch = np.sqrt(1e4 / 900.0)
     points = np.column_stack([places.x, places.y])
@@ -91,7 +91,7 @@ def test_no_two_trees_are_nearer_than_half_a_cell_and_none_in_rows():
     density=st.sampled_from([40.0, 400.0, 9000.0]),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_a_polygon_cut_in_two_keeps_its_trees(cut, angle, density, seed):
+def test_polygon_cut_in_two_keeps_its_trees(cut, angle, density, seed):
     area = shapely.Point(1000.0, -2000.0).buffer(200.0)
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     middle = np.array([1000.0, -2000.0]) + cut * across
@@ -104,13 +104,13 @@ def test_a_polygon_cut_in_two_keeps_its_trees(cut, angle, density, seed):
     np.testing.assert_array_equal(whole.x, parts.x)
 
 
-def test_seeds_give_other_stands():
+def test_another_seed_gives_another_stand():
     area = shapely.box(0, 0, 300, 300)
     first, second = scatter_trees(area, 100.0, 1), scatter_trees(area, 100.0, 2)
     assert not np.intersect1d(first.x, second.x).size
 
 
-def test_hashes_are_even_and_their_streams_unrelated():
+def test_hashes_are_uniform_and_streams_uncorrelated():
     i, j = np.meshgrid(np.arange(-150, 150), np.arange(-150, 150))
     key = pair_keys(4, i.ravel(), j.ravel())
     assert len(np.unique(key)) == key.size
@@ -126,11 +126,11 @@ def test_hashes_are_even_and_their_streams_unrelated():
 # -- stands of polygons
 
 
-def test_a_stand_has_its_density_on_the_ground(hill, vectors, make_scene):
+def test_stand_has_its_density_on_the_ground(hill, vectors, make_scene):
     area = shapely.Point(1000, 1000).buffer(600)
     scene = make_scene(hill, forest=[{"source": vectors([area]), "density": 300}])
     trees = planted(scene)
-    stretch = 0.9996**-2  # UTM on its central meridian: maps are smaller than the ground
+    stretch = 0.9996**-2  # UTM on its central meridian: map lengths are smaller than ground lengths
     assert len(trees.rank) == pytest.approx(area.area / 1e4 * 300 * stretch, abs=3 * np.sqrt(area.length / np.sqrt(1e4 / 300)))
     assert shapely.contains_xy(area, *(xyh(scene, trees)[:, :2] - [X0, Y0 - SIDE]).T).all()
 
@@ -141,7 +141,7 @@ def test_trees_stand_on_the_ground(hill, vectors, make_scene):
     np.testing.assert_allclose(height, plane(x, y), atol=2e-3)
 
 
-def test_a_tree_is_the_same_whatever_else_is_in_the_file(hill, vectors, make_scene):
+def test_tree_does_not_depend_on_other_features(hill, vectors, make_scene):
     whole, west, east = shapely.box(200, 300, 1700, 900), shapely.box(200, 300, 950, 900), shapely.box(950, 300, 1700, 900)
     far = shapely.box(1000, 1500, 1200, 1600)
     spec = {"density": 150, "species": "mixed", "seed": 9}
@@ -151,7 +151,7 @@ def test_a_tree_is_the_same_whatever_else_is_in_the_file(hill, vectors, make_sce
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
-def test_multi_polygons_and_holes(hill, vectors, make_scene):
+def test_multipolygons_and_holes(hill, vectors, make_scene):
     ring = shapely.box(200, 200, 900, 900) - shapely.box(300, 300, 800, 800)
     scene = make_scene(hill, forest=[{"source": vectors([ring | shapely.box(1200, 1200, 1500, 1500)]), "density": 100}])
     trees = planted(scene)
@@ -174,7 +174,7 @@ def test_heights_of_polygons(hill, vectors, make_scene):
     assert not ((x > 650) & (y < 650)).any()  # the polygon without a height
 
 
-def test_looks_follow_the_species_and_crowns_the_height(hill, vectors, make_scene):
+def test_variants_follow_species_and_crowns_follow_height(hill, vectors, make_scene):
     source = vectors([shapely.box(100, 100, 1900, 1900)])
     shares_of = {}
     for species in ("conifer", "broadleaf", "mixed"):
@@ -193,8 +193,8 @@ def test_looks_follow_the_species_and_crowns_the_height(hill, vectors, make_scen
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857"])
-def test_density_is_on_the_ground_on_any_map(crs, write_raster, make_scene, vectors):
-    """Web Mercator at 60 degrees doubles lengths; degrees are no metres at all."""
+def test_density_is_on_the_ground_in_any_crs(crs, write_raster, make_scene, vectors):
+    """Web Mercator at 60 degrees doubles lengths, and degrees are not metres."""
     lon, lat = 9.0, 60.0
     x0, y0 = (lon, lat) if crs == "EPSG:4326" else Transformer.from_crs(4326, crs, always_xy=True).transform(lon, lat)
     cell = 0.001 if crs == "EPSG:4326" else 100.0
@@ -206,7 +206,7 @@ def test_density_is_on_the_ground_on_any_map(crs, write_raster, make_scene, vect
     assert len(trees.rank) == pytest.approx(64 * 200 * 0.9996**-2, rel=0.006)
 
 
-def test_a_flat_world_in_feet(write_raster, make_scene, vectors):
+def test_flat_world_in_feet(write_raster, make_scene, vectors):
     feet = ENGINEERING.replace('LENGTHUNIT["metre",1]', 'LENGTHUNIT["foot",0.3048]')
     dem = write_raster(np.zeros((100, 100), np.float32), feet, 7000, 9000, 10)
     source = vectors([shapely.box(0, 0, 800, 800)], crs=feet, origin=(7100, 8100))
@@ -217,15 +217,15 @@ def test_a_flat_world_in_feet(write_raster, make_scene, vectors):
     assert 7100 <= x.min() and x.max() <= 7900 and 8100 <= y.min() and y.max() <= 8900
 
 
-def test_longitudes_are_taken_round_the_earth(write_raster, make_scene, vectors):
-    dem = write_raster(np.zeros((40, 40), np.float32), "EPSG:4326", 179.98, 0.02, 0.001)  # to 180.02
+def test_longitudes_wrap_around_the_earth(write_raster, make_scene, vectors):
+    dem = write_raster(np.zeros((40, 40), np.float32), "EPSG:4326", 179.98, 0.02, 0.001)  # up to 180.02
     source = vectors([shapely.box(-179.995, -0.005, -179.99, 0.005)], crs="EPSG:4326", origin=(0, 0))
     assert len(planted(make_scene(dem, forest=[{"source": source, "density": 100}])).rank) == pytest.approx(
         0.55 * 1.11 * 100 * 100, rel=0.03
     )
 
 
-def test_trees_off_the_terrain_and_over_holes_are_left_out(hill, vectors, make_scene, write_raster):
+def test_trees_off_the_terrain_and_over_holes_are_omitted(hill, vectors, make_scene, write_raster):
     source = vectors([shapely.box(-5000, -5000, 500, 7000)])
     scene = make_scene(hill, forest=[{"source": source, "density": 100}])
     trees = planted(scene)
@@ -260,7 +260,7 @@ def test_points_are_trees_with_their_heights(hill, vectors, make_scene):
         np.testing.assert_allclose(getattr(again, name), getattr(trees, name), rtol=1e-6)
 
 
-def test_points_without_heights_draw_them_from_their_places(hill, vectors, make_scene):
+def test_points_without_heights_draw_them_by_position(hill, vectors, make_scene):
     place = np.random.default_rng(2).uniform(50, 1950, (300, 2))
     some = vectors([shapely.MultiPoint(place[:150]), *shapely.points(place[150:])])
     default = planted(make_scene(hill, forest=[{"source": some}])).height_m
@@ -269,14 +269,14 @@ def test_points_without_heights_draw_them_from_their_places(hill, vectors, make_
     assert np.isin(fewer, default).all()
 
 
-def test_single_bad_rows_are_left_out_and_points_of_one_place_are_one_tree(hill, vectors, make_scene):
+def test_invalid_rows_are_omitted_and_duplicates_merged(hill, vectors, make_scene):
     points = list(shapely.points([[100, 100], [200, 100], [300, 100], [400, 100], [500, 100], [500, 100], [99999, 0]]))
     source = vectors(points, tall=[10.0, -4.0, 0.0, np.nan, 151.0, 7.0, 9.0])
     assert planted(make_scene(hill, forest=[{"source": source, "height": "tall"}])).height_m.tolist() == [10.0]
     assert len(planted(make_scene(hill, forest=[{"source": source, "height": [9, 9]}])).rank) == 5
 
 
-def test_point_keys_tell_millimetres_apart():
+def test_point_keys_distinguish_millimetres():
     assert point_keys(0, [1.0], [2.0]) == point_keys(0, [1.0001], [1.9999])
     assert point_keys(0, [1.0], [2.0]) != point_keys(0, [1.001], [2.0]) and point_keys(0, [1.0], [2.0]) != point_keys(
         1, [1.0], [2.0]
@@ -287,8 +287,8 @@ def test_point_keys_tell_millimetres_apart():
 # -- canopies
 
 
-def test_a_canopy_stands_on_the_terrain_in_another_crs(hill, make_scene, write_raster):
-    """A canopy in degrees, larger than the terrain, its tops where they were put."""
+def test_canopy_in_another_crs_stands_on_the_terrain(hill, make_scene, write_raster):
+    """The canopy is in degrees and larger than the terrain. Its tops lie at their positions in the raster."""
     to_degrees = Transformer.from_crs(UTM, 4326, always_xy=True)
     west, north = to_degrees.transform(X0 + 1800, Y0 - 300)
     canopy = np.zeros((400, 400), np.float32)
@@ -305,7 +305,7 @@ def test_a_canopy_stands_on_the_terrain_in_another_crs(hill, make_scene, write_r
     assert len(trees.rank) == pytest.approx(100 * 200 / (400 * 1.3e-5 * 75_900), abs=11)
 
 
-def test_crowns_of_a_canopy_end_where_the_neighbours_begin(hill, make_scene, write_raster):
+def test_canopy_crowns_end_at_their_neighbours(hill, make_scene, write_raster):
     canopy = np.zeros((100, 100), np.float32)
     canopy[2:60:3, 2:60:3], canopy[90, 90] = 26.0, 26.0
     source = write_raster(canopy, UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif")
@@ -317,8 +317,8 @@ def test_crowns_of_a_canopy_end_where_the_neighbours_begin(hill, make_scene, wri
     assert lone.crown_m.tolist() == [6.0] * 401
 
 
-def test_broadleaved_crowns_of_a_canopy_are_fewer_and_wider(hill, make_scene, write_raster):
-    """A rough canopy 18 m to 20 m high: fewer tops are found where crowns are wider, of mixed stands a number between."""
+def test_broadleaf_canopies_have_fewer_and_wider_crowns(hill, make_scene, write_raster):
+    """In a rough canopy of 18 m to 20 m, wider crowns give fewer tops. Mixed stands lie in between."""
     canopy = np.random.default_rng(4).uniform(18, 20, (100, 100)).astype(np.float32)
     source = str(write_raster(canopy, UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif"))
     stands = {
@@ -330,7 +330,7 @@ def test_broadleaved_crowns_of_a_canopy_are_fewer_and_wider(hill, make_scene, wr
     assert np.median(stands["broadleaf"].crown_m) > 1.5 * np.median(stands["conifer"].crown_m)
 
 
-def test_forest_on_its_own_terrain(shared_data, make_scene):
+def test_real_canopy_on_its_own_terrain(shared_data, make_scene):
     folder = shared_data / "forest"
     scene = make_scene(folder / "quebec_DTM.tif", forest=[{"source": str(folder / "quebec_CHM.tif")}])
     trees = planted(scene)
@@ -339,10 +339,10 @@ def test_forest_on_its_own_terrain(shared_data, make_scene):
     np.testing.assert_allclose(height, scene.elevation.ground_m(x, y), atol=2e-3)
 
 
-# -- what is refused
+# -- rejected input
 
 
-def test_a_level_without_a_forest_has_no_trees(hill, make_scene, vectors):
+def test_level_without_a_forest_has_no_trees(hill, make_scene, vectors):
     assert planted(make_scene(hill)) is None
     assert planted(make_scene(hill, forest=[{"source": vectors([shapely.box(5, 5, 6, 6)]), "density": 0.001}])) is None
 
@@ -371,14 +371,14 @@ def test_a_level_without_a_forest_has_no_trees(hill, make_scene, vectors):
         ),
     ],
 )  # fmt: skip
-def test_bad_stands_are_refused_in_one_line(hill, make_scene, vectors, geometry, spec, message):
+def test_invalid_stands_are_rejected_in_one_line(hill, make_scene, vectors, geometry, spec, message):
     source = vectors([geometry], kind=["oak"], low=[-1.0])
     with pytest.raises((LevelError, SourceError), match=message) as caught:
         planted(make_scene(hill, forest=[{"source": source, **spec}]))
     assert "\n" not in str(caught.value)
 
 
-def test_the_limit_is_on_all_stands_together(hill, make_scene, vectors, monkeypatch, write_raster):
+def test_tree_limit_applies_to_all_stands_together(hill, make_scene, vectors, monkeypatch, write_raster):
     monkeypatch.setattr(module, "MAX_TREES", 1000)
     stand = {"source": vectors([shapely.box(0, 0, 400, 400)]), "density": 50}
     with pytest.raises(LevelError, match=r"forest\.1: 80. trees, .*1,000 trees in a level \((1\d\d|2\d\d) left for this stand\)"):
@@ -402,18 +402,18 @@ def test_the_limit_is_on_all_stands_together(hill, make_scene, vectors, monkeypa
         ({}, np.nan, X0, r"canopy.tif: no height in any cell \(all nodata\)\. "),
     ],
 )
-def test_bad_canopies_are_refused(hill, make_scene, write_raster, spec, value, x, message):
+def test_invalid_canopies_are_rejected(hill, make_scene, write_raster, spec, value, x, message):
     source = write_raster(np.full((20, 20), value, np.float32), UTM, x, Y0, 1, name="canopy.tif", nodata=np.nan)
     with pytest.raises((LevelError, SourceError), match=message):
         planted(make_scene(hill, forest=[{"source": str(source), **spec}]))
 
 
-def test_a_canopy_without_trees_is_no_error(hill, make_scene, write_raster):
+def test_canopy_without_trees_is_no_error(hill, make_scene, write_raster):
     source = write_raster(np.zeros((20, 20), np.float32), UTM, X0, Y0, 1, name="canopy.tif")
     assert planted(make_scene(hill, forest=[{"source": str(source)}])) is None
 
 
-def test_missing_and_unreadable_files_are_refused(hill, make_scene, tmp_path):
+def test_missing_and_unreadable_files_are_rejected(hill, make_scene, tmp_path):
     with pytest.raises(SourceError, match=r"none.gpkg: no such file\. "):
         planted(make_scene(hill, forest=[{"source": "none.gpkg", "density": 3}]))
     (tmp_path / "text.geojson").write_text("hello", encoding="utf-8")
@@ -421,7 +421,7 @@ def test_missing_and_unreadable_files_are_refused(hill, make_scene, tmp_path):
         planted(make_scene(hill, forest=[{"source": "text.geojson", "density": 3}]))
 
 
-def test_the_site_of_a_level_that_spans_the_globe_has_no_outline(write_raster, make_scene, hill):
+def test_site_of_a_global_level_has_no_outline(write_raster, make_scene, hill):
     globe = make_scene(write_raster(np.zeros((18, 36), np.float32), "EPSG:4326", -180, 90, 10, name="globe.tif"))
     assert Site(globe.world, globe.elevation).outline is None
     near = make_scene(hill)

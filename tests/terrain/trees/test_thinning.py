@@ -1,4 +1,4 @@
-"""Thinning: whatever share is kept, every part of a stand keeps it."""
+"""Thinning: every part of a stand keeps the requested share."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SHARES = (1 / 16, 0.1, 0.25, 0.5, 0.77, 0.95)
 
 
 def z_order(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Indices along the Z-order curve of coordinates in [0, 1), by quarters: south-west, south-east, north-west, north-east."""
+    """Return indices along the Z-order curve of coordinates in [0, 1), with quadrants in the order SW, SE, NW, NE."""
     if len(x) <= 1 or (np.ptp(x) == 0.0 and np.ptp(y) == 0.0):
         return np.arange(len(x))
     quarter = (x >= 0.5).astype(int) + 2 * (y >= 0.5).astype(int)
@@ -26,7 +26,7 @@ def z_order(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def scattered(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A stand over a square of 1 km, its corners occupied."""
+    """Return a stand on a square of 1 km with trees in two opposite corners."""
     rng = np.random.default_rng(seed)
     x, y = rng.random((2, count)) * 1000.0
     x[:2], y[:2] = (0.0, 1000.0), (0.0, 1000.0)
@@ -35,8 +35,8 @@ def scattered(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 @settings(deadline=None)  # the first call compiles
 @given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), max_size=60))
-def test_ranks_are_shares_below_one_and_all_different(places):
-    """Of any stand, with trees in one place too."""
+def test_ranks_are_distinct_shares_below_one(places):
+    """Any stand, also with several trees in one position."""
     x, y = np.array(places, float).reshape(-1, 2).T
     rank = thinning_ranks(x, y)
     assert rank.shape == x.shape and rank.dtype == np.float32
@@ -44,7 +44,7 @@ def test_ranks_are_shares_below_one_and_all_different(places):
 
 
 def test_no_rank_rounds_up_to_one():
-    """Float32 has no number between: where the sequence comes nearest to 1, a share of 1 still keeps the tree."""
+    """Where the sequence comes closest to 1, float32 must not round up: a share of 1 still keeps the tree."""
     x, y = np.random.default_rng(1).random((2, 3_000_000))
     rank = thinning_ranks(x, y)
     assert rank.max() < 1.0 and rank.min() >= 0.0
@@ -52,8 +52,11 @@ def test_no_rank_rounds_up_to_one():
 
 
 @pytest.mark.parametrize("digits", [1, 2, 4])
-def test_of_every_few_trees_in_turn_one_is_kept_whichever(digits):
-    """Of 2^m at a share of 2^-m; each as often as another, and no more often beside one kept in the same place of its own few."""
+def test_each_run_of_2_to_the_m_trees_keeps_exactly_one(digits):
+    """At a share of 2^-m, each aligned run of 2^m trees keeps one tree.
+
+    Each position in the run is equally frequent, and so is each difference from the positions in the two runs before.
+    """
     col, row = (v.ravel().astype(float) for v in np.meshgrid(np.arange(256), np.arange(256)))
     kept = (thinning_ranks(col, row)[z_order(col / 256, row / 256)] < 2.0**-digits).reshape(-1, 2**digits)
     assert (kept.sum(axis=1) == 1).all()
@@ -65,7 +68,7 @@ def test_of_every_few_trees_in_turn_one_is_kept_whichever(digits):
 
 @pytest.mark.parametrize("count", [1000, 20_000])
 def test_any_run_along_the_curve_keeps_its_share(count):
-    """Of m trees in succession k m are kept but for a few: off by no more than 2 + log2(m) / 2."""
+    """At share k, m consecutive trees keep k m trees, with an error of at most 2 + log2(m) / 2."""
     x, y = scattered(count)
     scale = (1 - 2**-22) / 1000.0
     rank = thinning_ranks(x, y)[z_order(x * scale, y * scale)]
@@ -79,7 +82,7 @@ def test_any_run_along_the_curve_keeps_its_share(count):
 
 @pytest.mark.parametrize("clumped", [False, True])
 def test_any_window_keeps_its_share(clumped):
-    """Squares anywhere: off by far less than chance would be, in even stands and in clumps."""
+    """In squares at random positions, the error is much smaller than in random thinning, for even and for clumped stands."""
     rng = np.random.default_rng(7)
     if clumped:
         middles = rng.random((60, 2)) * 1000
@@ -102,7 +105,7 @@ def test_any_window_keeps_its_share(clumped):
 
 
 def test_every_small_plot_keeps_a_tree():
-    """Of 10,000 trees a quarter is kept: no plot of 6 x 6 trees is bare, as some are by chance."""
+    """At a quarter of 10,000 trees, no plot of 6 x 6 trees is empty, which happens in random thinning."""
     col, row = (v.ravel().astype(float) for v in np.meshgrid(np.arange(100), np.arange(100)))
     for share, side in ((0.25, 6), (1 / 16, 12)):
         kept = (thinning_ranks(col, row) < share).reshape(100, 100)
@@ -110,13 +113,13 @@ def test_every_small_plot_keeps_a_tree():
         assert plots.min() >= 1 and plots.max() <= 2.2 * share * side * side
 
 
-def test_a_stand_of_none_and_of_one():
+def test_stands_of_no_tree_and_of_one_tree():
     assert thinning_ranks(np.zeros(0), np.zeros(0)).shape == (0,)
     assert 0.0 <= thinning_ranks(np.array([5.0]), np.array([-3.0]))[0] < 1.0
 
 
-def test_a_row_of_trees_is_thinned_evenly():
-    """Trees along a road, whichever way it runs: no gap longer than a few kept trees' distance."""
+def test_row_of_trees_is_thinned_evenly():
+    """Trees along a road in any direction: no gap is longer than the spacing of a few kept trees."""
     along = np.linspace(0.0, 5000.0, 2000)
     for x, y in ((along, np.zeros(2000)), (np.full(2000, 7.0), -along), (along, along)):
         kept = np.flatnonzero(thinning_ranks(x, y) < 0.25)
