@@ -1,17 +1,16 @@
-"""Masks of cast shadows from Skugga's line sweep beside those of other tools: time, memory, and wrong cells against rays.
+"""Masks of cast shadows by Skugga's line sweep and by other tools: time, memory, and wrong cells against rays.
 
     python -m benchmarks.peers [--python PATH] [--repeats 3] [--side 2048] [--json FILE] [--markdown FILE] [--readme] [--write-only]
 
 Two rasters, SRTM of the Jacksboro fault and fractal mountains, under three suns on the grid's axes and diagonals and three off
-them. Every tool runs as a process of its own, reads the same GeoTIFF and writes a mask; one runs at a time, and they take turns.
-Nothing is believed before a pole has thrown its shadow where it should. Truth are rays from the nodes over quads that are cut
-along their higher diagonals, as Skugga cuts them, counted where it does not hang on the rays' offset; for the others, nor on the
-diagonal.
+them. Every tool runs as a process of its own, reads the same GeoTIFF and writes a mask; one runs at a time, and they take turns. A
+tool counts only if a pole's shadow is where it should be. Truth is rays from the nodes over quads that are cut along their higher
+diagonals, as Skugga cuts them. Cells count if truth does not depend on the rays' offset; for the other tools, nor on the diagonal.
 
-The Python packages (`pip install insolation numba topocalc solweig whitebox-workflows rasterio`) are those of ``--python``, so that
-they may live in an environment of their own; the others are Debian's `grass-core`, `saga`, `pktools` and `gdal-bin`. What is absent
-is named and left out. ``--side`` makes smaller rasters, for trials; ``--readme`` prints the short table; ``--write-only`` measures
-nothing and writes the page and its picture again.
+``--python`` is the interpreter of the Python packages (`pip install insolation numba topocalc solweig whitebox-workflows
+rasterio`), which may have an environment of their own; the others are Debian's `grass-core`, `saga`, `pktools` and `gdal-bin`.
+Absent tools are named and left out. ``--side`` makes smaller rasters, for trials; ``--readme`` prints the short table;
+``--write-only`` measures nothing and writes the page and its picture again.
 """
 
 from __future__ import annotations
@@ -42,11 +41,11 @@ SUNS = [(315.0, 30.0), (135.0, 10.0), (90.0, 3.0), (202.0, 30.0), (113.0, 10.0),
 """Azimuth and altitude, degrees: the first three on the grid's axes and diagonals."""
 
 SLOW_S = 2.0
-"""A process that takes longer runs once: what is so far behind needs no median."""
+"""A slower process runs only once: it is too far behind to need a median."""
 
 
 def jacksboro() -> tuple[np.ndarray, float]:
-    """SRTM heights in UTM 16N (rows, cols) float32 in metres, without the rim of which a part is missing; the side of a cell."""
+    """Return SRTM heights in UTM 16N (rows, cols) float32 in metres, without the incomplete rim; and the side of a cell."""
     with BUNDLED["jacksboro_utm"]().open() as source:
         height_m, cell_m = source.read(1), source.transform.a
     while np.isnan(height_m).any():
@@ -63,7 +62,7 @@ def rasters(side: int) -> dict[str, tuple[np.ndarray, float]]:
 
 
 def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str, str], list[ToolRecord]]:
-    """The tools to be believed, with the least seconds of their process on the pole; the others and why; what tools tell."""
+    """Return the valid tools with the minimum seconds of their process on the pole; the others and why; the tools' versions."""
     start_s: dict[Tool, float] = {}
     left_out: dict[str, str] = {}
     records = []
@@ -85,7 +84,7 @@ def check_tools(python: str, folder: Path) -> tuple[dict[Tool, float], dict[str,
 
 
 def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRaster, list[GridTruth]]:
-    """A raster's facts, and truth under each sun; decided cells are those of the tools that cut quads in ways of their own."""
+    """Return a raster's facts, and truth under each sun; decided cells are those for tools that cut quads differently."""
     rays = GridRays(height_m, (cell_m, cell_m))
     truths = [rays.truth(*sun) for sun in SUNS]
     under = [
@@ -97,14 +96,14 @@ def terrain_of(name: str, height_m: np.ndarray, cell_m: float) -> tuple[TestRast
 
 
 def errors(lit: np.ndarray, truth: GridTruth, certain: np.ndarray) -> tuple[float, float]:
-    """False and missed shadow as shares of the cells where truth is ``certain``, one of its masks."""
+    """Return false and missed shadow as shares of the cells where truth is ``certain``, one of its masks."""
     count = certain.sum()
     false, missed = (certain & (truth.lit == sunny) & (lit != sunny) for sunny in (True, False))
     return float(false.sum() / count), float(missed.sum() / count)
 
 
 def measured(python: str, side: int, repeats: int) -> PeerComparison:
-    """Everything: the check of conventions, truth, and the tools in turns."""
+    """Measure everything: the check of conventions, truth, and the tools in turns."""
     begin = time.perf_counter()
     runs: dict[tuple[Tool, str, int], list[ToolRun]] = {}
     wrong: dict[tuple[Tool, str, int], tuple[float, float]] = {}

@@ -1,4 +1,4 @@
-"""What `peers.py` measures: answers of tools for rasters under suns, and who is faster and more accurate than whom."""
+"""Results of `benchmarks.peers`: answers of tools for rasters under suns, and which tools are faster and more accurate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class SunShares:
-    """A raster under one sun: the shares of its decided cells in shadow, and of all cells that are not decided."""
+    """A raster under one sun: the shares of its decided cells in shadow, and of all cells that are undecided."""
 
     azimuth_deg: float
     altitude_deg: float
@@ -21,7 +21,7 @@ class SunShares:
 
 @dataclass(frozen=True)
 class TestRaster:
-    """A raster: cells, their side, its lowest and highest height in metres, and what holds under each sun."""
+    """A raster: cells, their side, its lowest and highest height in metres, and its shares under each sun."""
 
     name: str
     rows: int
@@ -34,7 +34,7 @@ class TestRaster:
 
 @dataclass(frozen=True)
 class ToolRecord:
-    """A tool that ran: ``start_s`` is what its process took for a raster of next to nothing, at least."""
+    """A tool that ran: ``start_s`` is the minimum time of its process for a tiny raster."""
 
     name: str
     version: str
@@ -46,7 +46,7 @@ class ToolRecord:
 
 @dataclass(frozen=True)
 class ToolResult:
-    """A tool's answer for a raster under one sun: medians of seconds, most memory, shares of the decided cells."""
+    """A tool's answer for a raster under one sun: median seconds, peak memory, shares of the decided cells."""
 
     tool: str
     terrain: str
@@ -79,7 +79,7 @@ class ToolResult:
 
 @dataclass(frozen=True)
 class PeerComparison:
-    """All that was measured. ``left_out`` are names of tools with the reason."""
+    """All results. ``left_out`` are names of tools with the reason."""
 
     where: str
     repeats: int
@@ -92,13 +92,13 @@ class PeerComparison:
 
     @staticmethod
     def read(values: dict[str, Any]) -> PeerComparison:
-        """From what JSON holds."""
+        """Build it from JSON values."""
         terrains = [TestRaster(**{**each, "under": [SunShares(**sun) for sun in each["under"]]}) for each in values["terrains"]]
         tools, answers = [ToolRecord(**each) for each in values["tools"]], [ToolResult(**each) for each in values["answers"]]
         return PeerComparison(**{**values, "terrains": terrains, "tools": tools, "answers": answers})
 
     def of(self, tool: ToolRecord, terrain: str | None = None, on_axis: bool | None = None) -> list[ToolResult]:
-        """Its answers; of one raster, and on or off the axes, where that is said."""
+        """Return a tool's answers; of one raster, and on or off the axes, if given."""
         return [
             answer
             for answer in self.answers
@@ -106,16 +106,18 @@ class PeerComparison:
         ]
 
     def compute_s(self, tool: ToolRecord, answer: ToolResult) -> float:
-        """Seconds of computing: where the tool does not say, at most the whole less what its process takes for next to nothing."""
+        """Return seconds of computing; without the tool's own figure, at most the total minus its process's time for a tiny
+        raster.
+        """
         return answer.compute_s if answer.compute_s is not None else max(answer.whole_s - tool.start_s, 0.0)
 
     def bounded(self, tool: ToolRecord) -> bool:
-        """Whether its seconds of computing are a bound."""
+        """Return whether its seconds of computing are an upper bound."""
         return any(answer.compute_s is None for answer in self.of(tool))
 
     @property
     def largest(self) -> TestRaster:
-        """The raster of the most cells."""
+        """The raster with the most cells."""
         return max(self.terrains, key=lambda terrain: terrain.rows * terrain.cols)
 
     @property
@@ -132,19 +134,19 @@ CLOCKS: dict[str, Callable[[PeerComparison, ToolRecord, ToolResult], float]] = {
 
 @dataclass(frozen=True)
 class ToolStanding:
-    """Where a tool stands in a case: seconds, and wrong cells as a share."""
+    """The standing of a tool in a case: seconds, and wrong cells as a share."""
 
     tool: ToolRecord
     seconds: float
     wrong: float
 
     def beats(self, other: ToolStanding) -> bool:
-        """Whether it is both faster and more accurate."""
+        """Return whether it is both faster and more accurate."""
         return self.seconds < other.seconds and self.wrong < other.wrong
 
 
 def cases(found: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
-    """Places of all tools: in each raster under each sun, and in the means over the suns off the axes."""
+    """Return standings of all tools: in each raster under each sun, and in the means over the suns off the axes."""
     out: dict[str, list[ToolStanding]] = {}
     for tool in found.casting:
         for answer in found.of(tool):
@@ -158,17 +160,17 @@ def cases(found: PeerComparison, clock: str) -> dict[str, list[ToolStanding]]:
 
 
 def beaten(found: PeerComparison, clock: str) -> list[tuple[str, str, str]]:
-    """Skugga's row, the peer that is both faster and more accurate, and the case."""
+    """Return Skugga's rows with peers that are both faster and more accurate, and the case."""
     return beaten_rows(cases(found, clock))
 
 
 def unmatched(found: PeerComparison, clock: str) -> list[tuple[str, str]]:
-    """Peers that beat every row of Skugga's in a case, and the case."""
+    """Return peers that beat every row of Skugga's in a case, and the case."""
     return unmatched_peers(cases(found, clock))
 
 
 def beaten_rows(places_of: dict[str, list[ToolStanding]]) -> list[tuple[str, str, str]]:
-    """Of the places of all tools by case: Skugga's row, the peer that is both faster and more accurate, and the case."""
+    """Return, from standings by case, Skugga's rows with peers that are both faster and more accurate, and the case."""
     return [
         (own.tool.name, peer.tool.name, case)
         for case, places in places_of.items()
@@ -179,7 +181,7 @@ def beaten_rows(places_of: dict[str, list[ToolStanding]]) -> list[tuple[str, str
 
 
 def unmatched_peers(places_of: dict[str, list[ToolStanding]]) -> list[tuple[str, str]]:
-    """Of the places of all tools by case: peers that beat every row of Skugga's there, and the case."""
+    """Return, from standings by case, peers that beat every row of Skugga's there, and the case."""
     return [
         (peer.tool.name, case)
         for case, places in places_of.items()

@@ -1,4 +1,4 @@
-"""What `peers.py` measured, put into words: tables and the verdict. Nothing is measured here, and no figure written down."""
+"""Tables and the verdict from the results of `benchmarks.peers`. It measures nothing and contains no figures."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ from benchmarks.seeds.claims import table
 
 
 def percent(share: float) -> str:
-    """A share in per cent with two digits that say something; a plain 0 for none."""
+    """Format a share in per cent with two significant digits; a plain 0 for none."""
     value = 100.0 * share
     return "0" if value == 0.0 else f"{value:.2f}" if value >= 0.1 else f"{value:.1g}" if value < 1e-3 else f"{value:.2g}"
 
 
 def seconds(value: float) -> str:
-    """Seconds with two or three digits that say something."""
+    """Format seconds with two or three significant digits."""
     return (
         f"{value:.0f}" if value >= 10.0 else f"{value:.1f}" if value >= 2.0 else f"{value:.2f}" if value >= 0.1 else f"{value:.3f}"
     )
 
 
 def span(values: Iterable[float], written: Callable[[float], str]) -> str:
-    """The least and the greatest."""
+    """Format the least and the greatest value."""
     values = list(values)
     least, most = written(min(values)), written(max(values))
     return least if least == most else f"{least} to {most}"
 
 
 def bound(found: PeerComparison, tool: ToolRecord) -> str:
-    """What stands before seconds of computing that are a bound."""
+    """Return the prefix of seconds of computing that are an upper bound."""
     return "≤ " if found.bounded(tool) else ""
 
 
 def mean_wrong(found: PeerComparison, tool: ToolRecord, on_axis: bool) -> float:
-    """Mean share of wrong cells over rasters and suns."""
+    """Return the mean share of wrong cells over rasters and suns."""
     return float(np.mean([answer.wrong for answer in found.of(tool, on_axis=on_axis)]))
 
 
 def time_table(found: PeerComparison) -> list[str]:
-    """A line for each tool: seconds as ranges over the suns, memory, wrong cells."""
+    """Format a line for each tool: seconds as ranges over the suns, memory, wrong cells."""
     rows = []
     for tool in found.tools:
         row = {"tool": tool.name, "version": tool.version, "how": tool.algorithm}
@@ -61,7 +61,7 @@ def time_table(found: PeerComparison) -> list[str]:
 
 
 def error_table(found: PeerComparison) -> list[str]:
-    """A line for each tool that casts shadows: false and missed shadow in every case."""
+    """Format a line for each tool that casts shadows: false and missed shadow in every case."""
     return table([
         {"tool": tool.name}
         | {answer.case: f"{percent(answer.false_shadow or 0)} / {percent(answer.missed_shadow or 0)}" for answer in found.of(tool)}
@@ -70,7 +70,7 @@ def error_table(found: PeerComparison) -> list[str]:
 
 
 def short_table(found: PeerComparison) -> list[str]:
-    """A few lines for people in a hurry: the largest raster's seconds, means over the suns off the axes."""
+    """Format the short table: the largest raster's seconds, means over the suns off the axes."""
     rows = []
     for tool in found.tools:
         if tool.ours and tool.name not in SHORT_OURS:
@@ -91,7 +91,7 @@ SHORT_OURS = ("Skugga sweep, 1 line", "Skugga sweep, 8 lines")
 
 
 def format_verdict(found: PeerComparison) -> str:
-    """Whether Skugga lies on or beyond the Pareto front of the others, and where it does not."""
+    """Describe whether Skugga lies on or beyond the Pareto front of the others, and the exceptions."""
     peers = [tool for tool in found.casting if not tool.ours]
     if not peers:
         return "Open: there was no peer to compare with."
@@ -104,7 +104,7 @@ def format_verdict(found: PeerComparison) -> str:
 
 
 def _front(found: PeerComparison, clock: str, peers: int) -> str:
-    """The verdict by one clock."""
+    """Describe the verdict by one clock."""
     title, count = f"**By the time of {'computing' if clock == 'computing' else 'the whole process'}:**", len(cases(found, clock))
     our_count = sum(tool.ours for tool in found.casting)
     lost, over = beaten(found, clock), unmatched(found, clock)
@@ -123,7 +123,7 @@ def _front(found: PeerComparison, clock: str, peers: int) -> str:
 
 
 def _beside(found: PeerComparison) -> str:
-    """Off the axes: the fastest and the most accurate peer, beside Skugga's row of the same merit."""
+    """Compare the fastest and the most accurate peer, off the axes, with Skugga's row of the same merit."""
     places = cases(found, "computing")["all, mean off the axes"]
     peer_places, our_places = ([place for place in places if place.tool.ours == is_ours] for is_ours in (False, True))
 
@@ -148,7 +148,7 @@ def _listed(names: list[str]) -> str:
 
 
 def page(found: PeerComparison, image: str) -> str:
-    """The page, in Markdown; ``image`` is the picture's address from there."""
+    """Format the page, in Markdown; ``image`` is the picture's address relative to it."""
     parts = [
         "# Masks of a DEM: Skugga beside other tools",
         "Made by `benchmarks/peers`, which writes every number and verdict below.",
@@ -232,7 +232,7 @@ LOW_SUN = 2.0
 
 
 def _low_sun(found: PeerComparison, tool: ToolRecord) -> float:
-    """How many times as long computing takes under the lowest suns as under the highest, on the largest raster."""
+    """Return the ratio of computing times under the lowest and the highest suns, on the largest raster."""
     answers = found.of(tool, found.largest.name)
     heights = [answer.altitude_deg for answer in answers]
     low, high = (
@@ -265,7 +265,7 @@ NOTES = [
         "gdaldem hillshade casts no shadow: it shows the cost of a process that reads, compares neighbours and writes.",
     ),
 ]
-"""What to know of a tool, said where it ran."""
+"""Notes on tools, shown if they ran."""
 
 NOT_COMPARED = (
     "Not compared: tools without a package that installs by itself (HORAYZON, rayshader), those that need a GPU (xarray-spatial), "

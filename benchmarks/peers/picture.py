@@ -1,4 +1,4 @@
-"""The picture of `peers.py`: seconds of computing against wrong cells, both by powers of ten, names beside their points."""
+"""The plot of `benchmarks.peers`: seconds of computing against wrong cells, on logarithmic axes, with labels at the points."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from PIL import Image
 from benchmarks.peers.figures import PeerComparison, TestRaster, ToolStanding, cases
 
 OURS, THEIRS, INK, SETTING_GRID = "#0072B2", "#D55E00", "#333333", "#E4E4E4"
-"""Blue and vermilion of Okabe and Ito, which all eyes tell apart; the shapes of the points differ, too."""
+"""Blue and vermilion of Okabe and Ito, which are safe for colour-blind readers; the shapes of the points differ, too."""
 
 MIN_PERCENT = 1e-6
-"""Where points without any wrong cell are drawn, on axes that know no zero."""
+"""The position of points without any wrong cell on logarithmic axes."""
 
 ROUND = [(8, 0), (-8, 0), (0, 8), (0, -8), (6, 6), (-6, 6), (6, -6), (-6, -6)]
-"""Where a name may stand beside its point: offsets in points."""
+"""Candidate positions of a label at its point: offsets in points."""
 
 LABEL_MARGIN_PX = 14.0
-"""What other names keep off a point, to either side."""
+"""The margin of other labels around a point, to either side."""
 
 
 def picture(found: PeerComparison, path: Path) -> None:
-    """Write it, a panel for each raster, as WebP."""
+    """Write the plot, a panel for each raster, as WebP."""
     with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK}):
         figure = Figure(figsize=(11.5, 5.4), dpi=140, layout="constrained")
         canvas = FigureCanvasAgg(figure)
@@ -39,7 +39,7 @@ def picture(found: PeerComparison, path: Path) -> None:
         panels[0].set_ylabel("wrong cells off the grid's axes, %")
         figure.suptitle("Cast shadows of a DEM: time against error. Faster is left, more accurate is down", fontsize=13)
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # names are placed where points now lie
+        figure.set_layout_engine("none")  # labels are placed at the final positions of points
         for axes, terrain in zip(panels, found.terrains, strict=True):
             _names(axes, canvas, _places(found, terrain))
         drawn = io.BytesIO()
@@ -76,7 +76,7 @@ def _panel(axes: Axes, found: PeerComparison, terrain: TestRaster) -> None:
 
 
 def _names(axes: Axes, canvas: FigureCanvasAgg, places: list[ToolStanding]) -> None:
-    """Each name on the side of its point where it is least in the way of points and other names."""
+    """Place each label where it overlaps points and other labels least."""
     renderer = canvas.get_renderer()
     points = axes.transData.transform([_at(place) for place in places])
     occupied = [
@@ -107,6 +107,6 @@ def _names(axes: Axes, canvas: FigureCanvasAgg, places: list[ToolStanding]) -> N
 
 
 def _shared(one: Bbox, other: Bbox) -> float:
-    """The area that two boxes share."""
+    """Return the area that two boxes share."""
     shared = Bbox.intersection(one, other)
     return 0.0 if shared is None else shared.width * shared.height

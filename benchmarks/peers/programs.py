@@ -1,11 +1,11 @@
-"""Programs that ask one tool for a mask of a raster: what `peers.py` runs as a process of its own, in any interpreter.
+"""Programs that compute a mask of a raster with one tool: `benchmarks.peers` runs them as processes, in any interpreter.
 
     PYTHON peer_programs.py TOOL dem.tif AZIMUTH ALTITUDE mask.tif [LINES]
     PYTHON peer_programs.py --version PACKAGE MODULE
 
-A program reads the raster, lets compiled loops be compiled on a few cells, computes, and writes 1 where the sun is seen and 0
-where it is not; it prints the seconds that the computing took. Nothing of Skugga is imported but for Skugga's own rows, so that
-the others' packages may live in an environment of their own. ``r.horizon`` runs inside a GRASS session, and writes angles.
+A program reads the raster, compiles its loops on a few cells, computes, and writes 1 where the sun is visible and 0 elsewhere; it
+prints the seconds of computing. Only Skugga's own rows import Skugga, so that the other packages may have an environment of their
+own. ``r.horizon`` runs inside a GRASS session, and writes angles.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     import numpy as np
 
     Ask = Callable[[float, float], np.ndarray]
-    """From azimuth, clockwise from north, and altitude, degrees, to where the sun is seen (rows, cols)."""
+    """A function of azimuth, clockwise from north, and altitude, degrees; it returns where the sun is visible (rows, cols)."""
 
 TINY_CELLS = 64
 """Cells a side of the terrain that loops are compiled on."""
 
 COMPILED = ("insolation", "sweep")
-"""Programs whose loops are compiled when they are first called."""
+"""Programs whose loops are compiled on the first call."""
 
 
 def insolation(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Corripio's running maximum along lines from the border; its y axis points south."""
+    """Return Corripio's running maximum along lines from the border; its y axis points south."""
     import numpy as np
     from insolation import insolf
 
@@ -46,7 +46,7 @@ def insolation(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
 
 def topocalc(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Horizons after Dozier and Frew: sines of angles; azimuths from south by way of east, within 180 degrees either way."""
+    """Return horizons after Dozier and Frew: sines of angles; azimuths from south by way of east, within 180 degrees either way."""
     import numpy as np
     from topocalc.horizon import horizon
 
@@ -60,7 +60,7 @@ def topocalc(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
 
 def solweig(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Shifted copies of the terrain and their maximum, on the CPU: its GPU path takes software devices, and is slower there."""
+    """Return the maximum of shifted copies of the terrain, on the CPU: its GPU path is slower on software devices."""
     os.environ["SOLWEIG_NO_GPU"] = "1"
     import numpy as np
     from solweig.rustalgos import shadowing
@@ -75,7 +75,7 @@ def solweig(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
 
 def whitebox(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Horizon angles in degrees, of a raster of its own type."""
+    """Return horizon angles in degrees, from a raster type of its own."""
     from whitebox_workflows import WbEnvironment
 
     environment = WbEnvironment()
@@ -88,7 +88,7 @@ def whitebox(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
 
 def sweep(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
-    """Skugga's line sweep, with as many lines a cell as the command line says, on all cores."""
+    """Return Skugga's line sweep, with the command line's number of lines a cell, on all cores."""
     from skugga.shadows.sweep.grid import sunlit
 
     lines, cores = int(sys.argv[6]), os.cpu_count() or 1
@@ -105,7 +105,7 @@ PREPARE: dict[str, Callable[[str, np.ndarray, float], Ask]] = {
 
 
 def answer(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: str) -> float:
-    """Write the mask of a raster; seconds of computing."""
+    """Write the mask of a raster; return seconds of computing."""
     import numpy as np
     import rasterio
 
@@ -124,7 +124,9 @@ def answer(name: str, path: str, azimuth_deg: float, altitude_deg: float, out: s
 
 
 def r_horizon(path: str, azimuth_deg: float, out: str) -> float:
-    """Write horizon angles in degrees, inside a GRASS session; seconds of the module. Directions run from east by way of north."""
+    """Write horizon angles in degrees, inside a GRASS session; return seconds of the module. Directions run from east by way
+    of north.
+    """
 
     def grass(*arguments: str) -> str:
         return subprocess.run(arguments, check=True, capture_output=True, text=True).stdout

@@ -1,4 +1,4 @@
-"""Tools that shade a raster: how each is asked as a process of its own, how its answer is read, and whether it can be believed."""
+"""Tools that compute shadows: their commands as processes of their own, the readers of their answers, and their checks."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ PROGRAMS = Path(__file__).with_name("programs.py")
 
 CRS = "EPSG:32616"
 MIDDLE_M = (500_000.0, 0.0)
-"""Where rasters' middles lie: on the central meridian and the equator, where grid north is true north, which r.horizon follows."""
+"""Middles of rasters: on the central meridian and the equator, where grid north is true north, which r.horizon uses."""
 
 POLE_CELLS, POLE_WIDTH, POLE_M, POLE_CELL_M, FLOOR_M = 201, 5, 150.0, 10.0, 100.0
 """The check of conventions: cells of the floor and of the block in its middle, its height, a cell's side, the floor's height."""
 
 POLE_SUNS = [(azimuth, 10.0) for azimuth in (315.0, 202.0, 113.0, 67.0)]
 POLE_CLOSE = 2.0
-"""Cells by which a pole's shadow may be too long, too short or beside its place."""
+"""The tolerance of a pole's shadow in length and position, in cells."""
 
 
 @dataclass(frozen=True)
 class ToolJob:
-    """What is asked: a raster of heights, the sun (azimuth clockwise from north) in degrees, and the file that is to be written."""
+    """A request: a raster of heights, the sun (azimuth clockwise from north) in degrees, and the output file."""
 
     dem: Path
     azimuth_deg: float
@@ -45,7 +45,7 @@ class ToolJob:
 
 @dataclass(frozen=True)
 class ToolRun:
-    """What a process took. ``compute_s`` is what it says itself, ``None`` where it does not; cores are CPU time by wall time."""
+    """The cost of a process. ``compute_s`` is its own figure, ``None`` without one; cores are CPU time divided by wall time."""
 
     whole_s: float
     compute_s: float | None
@@ -54,14 +54,17 @@ class ToolRun:
 
     @property
     def cpu_s(self) -> float:
-        """CPU time of the process and of those that it started and waited for."""
+        """CPU time of the process and of its children."""
         return self.cores * self.whole_s
 
 
 @dataclass(frozen=True, eq=False)
 class Tool:
-    """A tool: what computes, in a few words; the command that tells its version, which fails where it is absent; what it is told
-    for a job; where the sun is seen in the values that it writes (rows, cols), or ``None`` where it casts no shadows."""
+    """A tool and how it is run.
+
+    It has the algorithm in a few words; the command for its version, which fails if the tool is absent; the command of a job; and
+    the function from its output values to where the sun is visible (rows, cols), or ``None`` if it casts no shadows.
+    """
 
     name: str
     algorithm: str
@@ -71,22 +74,22 @@ class Tool:
     ours: bool = False
 
     def found(self) -> str | None:
-        """Its version, or ``None`` where it is absent."""
+        """Return its version, or ``None`` if it is absent."""
         return version_said(self.version)
 
     def run(self, job: ToolJob) -> ToolRun:
-        """Run it. Raises as ``run_process``."""
+        """Run it. Raises as ``run_process`` does."""
         return run_process(self.command(job), job.out)
 
     def mask(self, job: ToolJob) -> np.ndarray:
-        """Where it says that the sun is seen: bool (rows, cols)."""
+        """Return where its output shows the sun: bool (rows, cols)."""
         assert self.lit is not None
         with rasterio.open(job.out) as written:
             return self.lit(written.read(1), job)
 
 
 def version_said(command: list[str]) -> str | None:
-    """The first number with dots that a command says, ``None`` where it is absent or fails."""
+    """Return the first number with dots in a command's output, ``None`` if it is absent or fails."""
     if shutil.which(command[0]) is None:
         return None
     process = subprocess.run(command, capture_output=True, text=True)
@@ -95,9 +98,9 @@ def version_said(command: list[str]) -> str | None:
 
 
 def run_process(command: list[str], out: Path) -> ToolRun:
-    """Run a command that writes ``out``; what it says last as a number alone on a line are its seconds of computing.
+    """Run a command that writes ``out``; the last line of its output that is only a number is its seconds of computing.
 
-    Raises ``RuntimeError`` with the last line of what it said where it fails.
+    Raises ``RuntimeError`` with the last line of its output if it fails.
     """
     out.unlink(missing_ok=True)
     process = subprocess.run([sys.executable, "-I", "-S", "-c", LAUNCHER, *command], capture_output=True, text=True)
@@ -120,11 +123,11 @@ with tempfile.TemporaryFile("w+") as said:
     print(json.dumps({"wall_s": wall_s, "cpu_s": usage.ru_utime + usage.ru_stime, "peak_mb": usage.ru_maxrss * 1024 / 1e6,
                       "code": os.waitstatus_to_exitcode(status), "said": said.read()}))
 """
-"""A small process that starts the tool's: a process's peak memory begins with that of the one that starts it."""
+"""A small parent process of the tool's: a process's peak memory begins with that of its parent."""
 
 
 def tools_of(python: str) -> list[Tool]:
-    """All tools; packages are those of the interpreter ``python``."""
+    """Return all tools; packages are those of the interpreter ``python``."""
     here = str(PROGRAMS)
 
     def package(name: str, algorithm: str, program: str, distribution: str, module: str) -> Tool:
@@ -188,7 +191,7 @@ def tools_of(python: str) -> list[Tool]:
 
 
 def write_dem(path: Path, height_m: np.ndarray, cell_m: float, crs: str = CRS, middle_m: tuple[float, float] = MIDDLE_M) -> None:
-    """Heights (rows, cols) float32 in metres as a GeoTIFF on square cells, its middle at an easting and a northing of a CRS."""
+    """Write heights (rows, cols) float32 in metres as a GeoTIFF on square cells, its middle at a position of a CRS."""
     rows, cols = height_m.shape
     corner = middle_m[0] - cols * cell_m / 2, middle_m[1] + rows * cell_m / 2
     transform = Affine(cell_m, 0, corner[0], 0, -cell_m, corner[1])
@@ -199,9 +202,9 @@ def write_dem(path: Path, height_m: np.ndarray, cell_m: float, crs: str = CRS, m
 
 
 def check_pole(tool: Tool, folder: Path) -> list[ToolRun]:
-    """A block on a flat floor throws its shadow away from the sun, as long as it should be: the runs that it took.
+    """Check that a block on a flat floor casts a shadow away from the sun and of the right length; return the runs.
 
-    Raises ``RuntimeError`` where a shadow leaves its place by more than ``POLE_CLOSE`` cells, or the tool fails.
+    Raises ``RuntimeError`` if a shadow differs by more than ``POLE_CLOSE`` cells, or if the tool fails.
     """
     height_m = np.full((POLE_CELLS, POLE_CELLS), FLOOR_M, np.float32)
     middle, half = POLE_CELLS // 2, POLE_WIDTH // 2

@@ -1,10 +1,10 @@
-"""The published reports of `skugga compare` (docs/compare), and the page that holds them beside one another (docs/comparisons.md).
+"""The published reports of `skugga compare` (docs/compare), and the page that compares them (docs/comparisons.md).
 
     python -m benchmarks.reports DATA [--only NAME ...] [--time-limit S]     twelve minutes on two cores, for all
     python -m benchmarks.reports --write-only                                the page again, of the figures that are kept
 
-DATA is the folder of sample rasters. Each scene is compared in a process of its own: where one fails, that is told, and the others
-are made. Figures are kept scene by scene (reports.json), so that ``--only`` makes one anew.
+DATA is the folder of sample rasters. Each scene has a process of its own: if one fails, its error is printed and the others
+continue. Figures are stored by scene (reports.json), so that ``--only`` updates one.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ REPORTS, PLOTS = ROOT / "docs" / "compare", ROOT / "docs" / "images"
 
 
 def kept() -> dict[str, dict[str, Any]]:
-    """The record of each scene that was compared, in order."""
+    """Return the stored record of each compared scene, in order."""
     found = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
     return {name: found[name] for name in SCENES if name in found}
 
 
 def write_page() -> None:
-    """The page of what is kept."""
+    """Write the page of the stored records."""
     PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), comparisons(kept())), encoding="utf-8")
 
 
 def make(name: str, data: Path, time_limit_s: float | None) -> None:
-    """A scene's report, plot and figures."""
+    """Write a scene's report, plot and figures."""
     made = measured(SCENES[name], data, REPORTS / f"{name}.html", PLOTS / f"compare-{name}.svg", time_limit_s)
     KEPT.write_text(json.dumps(kept() | {name: made}, indent=1) + "\n", encoding="utf-8")
     print(f"{name}: {len(made['rows'])} rows, {len(made['left_out'])} left out, {made['took_s']} s", flush=True)
 
 
 def make_all(names: list[str], options: list[str]) -> list[str]:
-    """Each scene in a process of its own; returns the names of those that failed."""
+    """Run each scene in a process of its own; return the names of those that failed."""
     failed = []
     for name in names:
         status = subprocess.run([sys.executable, "-m", "benchmarks.reports", *options, "--only", name], check=False).returncode

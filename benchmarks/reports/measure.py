@@ -1,4 +1,4 @@
-"""One scene's comparison: its report, its plot, and the figures that the page says of it."""
+"""One scene's comparison: its report, its plot, and its figures in the page."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.level.parts import SunSpec
 
 MAX_BYTES = 1_000_000
-"""Of a published report."""
+"""Size limit of a published report."""
 
 Figures = dict[str, Any]
 
 ROW_KEYS = ("wrong_cast", "coverage", "soft_error", "interior", "cold", "pareto", "pareto_soft")
-"""What is kept of a row, beside its time and its name."""
+"""Stored values of a row, beside its time and its name."""
 
 
 def measured(scene: ReportScene, data: Path, report: Path, plot: Path, time_limit_s: float | None = None) -> Figures:
-    """Compare, write the report and the plot, and return the record that is kept. Raises ``RuntimeError`` for a report that is
-    too large, which is not written.
+    """Compare, write the report and the plot, and return the record.
+
+    Raises ``RuntimeError`` for a report that is too large, which is not written.
     """
     load, start = os.getloadavg()[0], time.perf_counter()
     sun = None if scene.sun is None else SunSpec(azimuth=scene.sun[0], altitude=scene.sun[1])
@@ -47,7 +48,7 @@ def measured(scene: ReportScene, data: Path, report: Path, plot: Path, time_limi
 
 
 def publish(text: str, report: Path) -> None:
-    """Write a report, if it is small enough. Raises ``RuntimeError``."""
+    """Write a report of limited size. Raises ``RuntimeError`` if it is larger."""
     size = len(text.encode())
     if size >= MAX_BYTES:
         raise RuntimeError(f"{report}: {size} bytes; a published report has less than {MAX_BYTES}")
@@ -55,7 +56,7 @@ def publish(text: str, report: Path) -> None:
 
 
 def record(scene: ReportScene, comparison: Comparison, said: dict[str, str]) -> Figures:
-    """What is kept of a comparison; ``said`` is what its report says of the run."""
+    """Return the record of a comparison; ``said`` is its report's text on the run."""
     return {
         "command": scene.command,
         "title": scene.title,

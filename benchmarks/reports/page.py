@@ -1,4 +1,4 @@
-"""The measured part of docs/comparisons.md, from the figures that are kept."""
+"""The measured part of docs/comparisons.md, from the stored figures."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from skugga.selector.formatting import format_duration, format_list, format_perc
 Figures = dict[str, Any]
 
 TARGETS = [goal for goal in GOALS if goal.within is None]
-"""Those without a limit of time."""
+"""Goals without a time limit."""
 
 
 def comparisons(records: Mapping[str, Figures]) -> str:
-    """All tables, and of each scene what was found, as Markdown."""
+    """Format all tables, and the findings of each scene, as Markdown."""
     first = next(iter(records.values()))
     devices = list(dict.fromkeys(f"{each['device']}, {each['processors']} processors" for each in records.values()))
     parts = [
@@ -43,7 +43,7 @@ def comparisons(records: Mapping[str, Figures]) -> str:
 
 
 def commands(each: Figures) -> list[str]:
-    """The command that measures each variant that was left out."""
+    """Return the command that measures each variant that was left out."""
     return [f"{each['command']} --only {shlex.quote(name)}" for name in each["left_out"]]
 
 
@@ -75,7 +75,7 @@ def _default(each: Figures) -> list[str]:
 
 
 def _place(each: Figures, row: Figures) -> str:
-    """On which fronts the default lies; or a row that is no slower and no less accurate by both errors, or by one of them."""
+    """Describe the fronts of the default, or a row that is at least as fast and as accurate by both errors, or by one of them."""
     fronts = [f"`{by}`" for front, by in (("pareto", each["error"]), ("pareto_soft", "soft_error")) if row[front]]
     if fronts:
         return f"on the front by {format_list(fronts)}: no row dominates it"
@@ -112,13 +112,13 @@ def _section(name: str, each: Figures) -> str:
 
 
 def _marked(each: Figures) -> list[str]:
-    """The sentences of the report, with names of rows as code, for `_` and `*` mean something in Markdown."""
+    """Return the sentences of the report, with names of rows as code, since `_` and `*` have a meaning in Markdown."""
     names = sorted([*each["rows"], *each["left_out"]], key=len, reverse=True)
     return [_with_code(sentence, names) for sentence in [*each["summary"], *each["remarks"]]]
 
 
 def _with_code(sentence: str, names: list[str]) -> str:
-    """Every name of a row in a sentence as code; a longer name before one that is a part of it."""
+    """Format every name of a row in a sentence as code; a longer name before one that is a part of it."""
     for name in names:
         before, found, after = sentence.partition(name)
         if found:

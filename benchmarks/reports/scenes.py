@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 SAMPLES = "DATA/"
-"""What the path of a level begins with that lies in the folder of sample data, wherever that is."""
+"""The prefix of a level's path for files in the folder of sample data, wherever it is."""
 
 PERSPECTIVE_PX = (640, 512)
 """Width and height of perspective views: forty rows take minutes, and a small report can hold their pictures pixel by pixel."""
@@ -15,10 +15,10 @@ PERSPECTIVE_PX = (640, 512)
 
 @dataclass(frozen=True)
 class ReportScene:
-    """A scene to compare. ``level`` is a bundled level's name or a raster below ``DATA/``; ``size`` width and height in pixels;
-    ``sun`` azimuth and altitude in degrees (``None``: the level's own light); ``bounds`` those of a map in units of its CRS.
+    """A scene to compare. ``level`` is a bundled level's name or a raster below ``DATA/``; ``size`` width and height in pixels.
 
-    ``data`` says whose data it shows. ``time_limit_s`` is that of the comparison, on two cores of their own.
+    ``sun`` is azimuth and altitude in degrees (``None``: the level's own light). ``bounds`` are those of a map in units of its CRS.
+    ``data`` names the owner of the data. ``time_limit_s`` is that of the comparison, on two cores of its own.
     """
 
     name: str
@@ -33,7 +33,7 @@ class ReportScene:
 
     @property
     def words(self) -> list[str]:
-        """The command line of the comparison, which the commands of its rows begin with."""
+        """The command line of the comparison; the commands of its rows begin with it."""
         words = ["skugga", "compare", self.level, "--view", self.view, "--size", "x".join(map(str, self.size))]
         if self.sun is not None:
             words += ["--azimuth", f"{self.sun[0]:g}", "--altitude", f"{self.sun[1]:g}"]
@@ -46,7 +46,7 @@ class ReportScene:
         return shlex.join(self.words)
 
     def level_path(self, data: Path) -> str:
-        """The level where it lies."""
+        """Return the level's path."""
         return str(data / self.level.removeprefix(SAMPLES)) if self.level.startswith(SAMPLES) else self.level
 
 

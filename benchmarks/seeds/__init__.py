@@ -1,1 +1,1 @@
-"""The experiments of the texts that Skugga began with, made again: ``python -m benchmarks.seeds`` writes docs/seeds.md."""
+"""Replications of the experiments in the texts that Skugga is based on: ``python -m benchmarks.seeds`` writes docs/seeds.md."""

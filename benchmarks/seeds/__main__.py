@@ -1,15 +1,15 @@
-"""The experiments of the texts that Skugga began with, made again: each claim beside what is measured here.
+"""Replications of the experiments in the texts that Skugga is based on: each claim beside our measurement.
 
     python -m benchmarks.seeds [EXPERIMENT ...] [--json benchmarks/seeds/seeds.json] [--markdown docs/seeds.md] [--write-only]
         [--without DEVICE]
 
 The texts: J. Sindholt, A comparison of Shadow Algorithms (DTU 2005); a thesis at Chalmers on shadows for the GIS SpatialAce; a
-bachelor's report of Copenhagen on shadow volumes and shadow maps. Without names all experiments run, one after the other; figures
-of those that do not run are taken from the JSON file, which holds all that was measured. `--write-only` measures nothing and writes
-the page from the file. Times are ratios within one run, since milliseconds do not travel from one machine to another.
+bachelor's report of Copenhagen on shadow volumes and shadow maps. Without names all experiments run, one after the other; the JSON
+file has the figures of the others. `--write-only` measures nothing and writes the page from the file. Times are ratios within one
+run, since milliseconds do not compare between machines.
 
-What is measured is the device that commands draw with (`SKUGGA_EGL_DEVICE`). Figures of other devices stay in the file, and the
-page has all of them beside one another; `--without` takes a device's out of both.
+The experiments measure the device that commands draw with (`SKUGGA_EGL_DEVICE`). Figures of other devices stay in the file, and the
+page shows all of them; `--without` removes a device from both.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ EXPERIMENTS = {
     "bias": Experiment(seeds_bias.measure, seeds_bias.section),
     "depth": Experiment(seeds_depth.measure, seeds_depth.section),
 }
-"""In the order of the page."""
+"""Experiments in the order of the page."""
 
 HERE = Path(__file__).parent
 
@@ -94,7 +94,7 @@ def main() -> None:
 
 
 def round_figures(figures: Any) -> Any:
-    """Figures with no more digits than they have meaning."""
+    """Round figures to their significant digits."""
     if isinstance(figures, dict):
         return {name: round_figures(value) for name, value in figures.items()}
     if isinstance(figures, list | tuple):
@@ -103,7 +103,7 @@ def round_figures(figures: Any) -> Any:
 
 
 def page(measured: Measured) -> str:
-    """The page of all experiments that were measured, in order, with the figures of all devices."""
+    """Format the page of all measured experiments, in order, with the figures of all devices."""
     sections = (section_of(name, experiment, measured) for name, experiment in EXPERIMENTS.items())
     head = "\n\n".join([INTRODUCTION, about_devices(measured)])
     return head + "\n\n" + "\n".join(section for section in sections if section is not None)

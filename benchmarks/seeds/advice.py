@@ -1,4 +1,4 @@
-"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): its advice (table 1, section 8.2), measured again."""
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): replication of its advice (table 1, section 8.2)."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ OUTDOORS = (("jacksboro", "ridges"), ("spatialace", "main"))
 """Large outdoor views under the sun: level and view."""
 
 MANY = 3
-"""From so many views on it is many cases."""
+"""The least number of views that counts as many cases."""
 
 CONSIDERABLY = 0.8
-"""Of a time, what is considerably less."""
+"""The ratio of times that counts as considerably less."""
 
 
 def measure() -> Figures:
@@ -60,7 +60,7 @@ def measure() -> Figures:
 
 
 def _errors_in(level: str, view: str, size: tuple[int, int], asked: tuple[str, ...] = FOUR) -> Figures:
-    """Errors in a view of a bundled level."""
+    """Return errors in a view of a bundled level."""
     scene = bundled(level)
     return errors(with_truth(scene, view_of(scene, view, size), "main"), asked)
 

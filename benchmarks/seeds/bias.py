@@ -1,4 +1,4 @@
-"""The bachelor's report of Copenhagen again: the bias of shadow maps, culling, and taps."""
+"""Replication of the bachelor's report of Copenhagen: the bias of shadow maps, culling, and taps."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ LEVELS = {
     "alpine": ("jacksboro_alpine", "map"),
 }
 CLOSED = ("street", "rocks")
-"""Those whose casters are closed meshes alone; in the third the ground casts on itself."""
+"""Scenes whose casters are only closed meshes; in the third the ground casts on itself."""
 
 SIZE, TEXELS = (512, 512), 1024
 COARSE = 256
-"""A coarser map, to find the best bias of."""
+"""A coarser map for the search of the best bias."""
 
 TAPS = (1, 2, 3)
 SCALES = (0.0, 0.25, 1.0, 4.0, 16.0)
 CLAMP = 0.005
-"""Of the depths from 0 to 1: the report's bias is never more."""
+"""The report's upper bound of the bias, in depths from 0 to 1."""
 
 CONSTANTS = tuple(float(b) for b in np.geomspace(1e-6, 3e-2, 16))
-"""Constants b of the report's formula that are tried."""
+"""Constants b of the report's formula that are compared."""
 
 FORMULAS = ("constant", "slope", "clamped")
 ACNE, TWICE, ALIKE = 10.0, 2.0, 1.5
-"""Acne is so many times what the bias as it should be leaves, peter-panning so many; up to the last times another is alike."""
+"""Factors over the error of the derived bias: of acne and of peter-panning; up to the last one another bias is alike."""
 
 NO_BIAS, SLOPE, TOO_MUCH = (f"polygon_offset x {scale:g}" for scale in (0.0, 1.0, 16.0))
 BODIES, BARE_BODIES, CULLED = "bodies x 1", "bodies x 0", "bodies, front culled x 0"
@@ -64,7 +64,7 @@ def measure() -> Figures:
 
 
 def _biased(look: ViewWithTruth, asked: Asked) -> dict[str, float]:
-    """Errors; of the points that face the sun the share whose visibility is neither 0 nor 1, and by how much it is off."""
+    """Return errors; among the points that face the sun, the share whose visibility is neither 0 nor 1, and its deviation."""
     seen, known = look.visibility(look.plan(asked)), look.truth.decidable & look.receivers
     partial = (seen > 0.0) & (seen < 1.0) & look.receivers
     shaded, ground = known & ~look.truth.lit, look.buffer.kind == RELIEF
@@ -82,8 +82,9 @@ def _biased(look: ViewWithTruth, asked: Asked) -> dict[str, float]:
 
 
 def _by_formulas(look: ViewWithTruth, size: int) -> dict[str, Any]:
-    """``wrong_cast`` under biases in depth for each constant b, with the map of ``size`` as drawn and one tap a point: b itself,
-    b tan(acos(n.l)), and that held under the report's bound.
+    """Return ``wrong_cast`` under biases in depth for each constant b, with the map of ``size`` as drawn and one tap a point.
+
+    The biases are b itself, b tan(acos(n.l)), and the latter clamped to the report's bound.
     """
     plan, log = look.plan(one_map(size, bias="polygon_offset", bias_scale=0.0)), PassLog(requested_layers=frozenset({"shadow-map"}))
     look.visibility(plan, log)
@@ -107,7 +108,7 @@ def _by_formulas(look: ViewWithTruth, size: int) -> dict[str, Any]:
 
 
 def _wrong_cast(look: ViewWithTruth, dark: np.ndarray) -> float:
-    """``skugga.shadows.truth.metrics.ErrorMetrics.wrong_cast`` alone, which takes no distances to find."""
+    """Return ``skugga.shadows.truth.metrics.ErrorMetrics.wrong_cast`` alone, which needs no search for distances."""
     truth = look.truth
     cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))
@@ -278,23 +279,23 @@ def section(figures: Figures) -> Section:
 
 
 def _formula_cases(figures: Figures) -> list[dict[str, Any]]:
-    """What ``_by_formulas`` found, by scene and map size."""
+    """Return the results of ``_by_formulas``, by scene and map size."""
     return [case for scene in LEVELS for case in figures[scene]["formulas"].values()]
 
 
 def _regret(figures: Figures, formula: str) -> float:
-    """Of the one constant that is best in the worst case, how many times a case's own least wrong share it has there."""
+    """Return for the minimax constant its worst ratio to a case's own least wrong share."""
     wrong = np.array([case[formula] for case in _formula_cases(figures)])
     return float((wrong / wrong.min(axis=1, keepdims=True)).max(axis=0).min())
 
 
 def _tolerance(figures: Figures) -> float:
-    """The least factor, over the cases, from the first to the last constant bias whose wrong share is alike to the least."""
+    """Return the least ratio, over the cases, of the last to the first constant bias whose wrong share is alike to the least."""
     wrong = (np.array(case["constant"]) for case in _formula_cases(figures))
     good = [np.flatnonzero(row <= ALIKE * row.min()) for row in wrong]
     return min(CONSTANTS[alike[-1]] / CONSTANTS[alike[0]] for alike in good)
 
 
 def _best(figures: Figures, formula: str) -> float:
-    """Mean wrong share, each case with its own best constant."""
+    """Return the mean wrong share, each case with its own best constant."""
     return float(np.mean([min(case[formula]) for case in _formula_cases(figures)]))

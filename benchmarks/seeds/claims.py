@@ -1,4 +1,4 @@
-"""Claims of others beside what is measured here: what an experiment hands to the page that is written of it."""
+"""Claims of the texts and our findings: the results that an experiment gives to its page."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 Figures = dict[str, Any]
-"""What an experiment measured: nothing but what JSON holds, so that the page can be written again without measuring again."""
+"""An experiment's measurements, JSON values only, so that the page can be written again without measuring."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What a source says, in our words; what was found here, with its figures; whether it holds here, and why (not).
+    """A source's claim, in our words; our finding, with its figures; whether the claim holds here, and the reason.
 
-    ``held`` is ``None`` where the experiment cannot decide it.
+    ``held`` is ``None`` if the experiment cannot decide it.
     """
 
     source: str
@@ -30,9 +30,9 @@ Tables = list[tuple[str, list[dict[str, str]]]]
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: how it was measured, tables, claims, pictures.
+    """A part of the page: its method, tables, claims, pictures.
 
-    Pictures are names of files in ``docs/images`` with what they show.
+    Pictures are names of files in ``docs/images`` with their captions.
     """
 
     title: str
@@ -44,14 +44,14 @@ class Section:
 
 @dataclass(frozen=True)
 class Experiment:
-    """``measure`` takes seconds to minutes; ``section`` puts its figures into words and must not measure anything."""
+    """``measure`` takes seconds to minutes; ``section`` describes its figures and must not measure anything."""
 
     measure: Callable[[], Figures]
     section: Callable[[Figures], Section]
 
 
 def markdown(section: Section) -> str:
-    """A section as Markdown."""
+    """Format a section as Markdown."""
     parts = [f"## {section.title}", section.how]
     for title, rows in section.tables:
         parts.append("\n".join([f"**{title}**", "", *table(rows)]))
@@ -62,7 +62,7 @@ def markdown(section: Section) -> str:
 
 
 def claims_table(claims: list[Claim]) -> list[str]:
-    """Lines of a Markdown table of claims."""
+    """Return lines of a Markdown table of claims."""
     words = {True: "held", False: "**not held**", None: "open"}
     return table(
         [
@@ -73,7 +73,7 @@ def claims_table(claims: list[Claim]) -> list[str]:
 
 
 def table(rows: list[dict[str, str]]) -> list[str]:
-    """Lines of a Markdown table; the keys of the first row are the columns."""
+    """Return lines of a Markdown table; the keys of the first row are the columns."""
     if not rows:
         return []
     columns = list(rows[0])

@@ -1,4 +1,4 @@
-"""The bits of a depth: what 16, 24 and 32 of them make of shadows in mountains, beside what follows from a depth's step."""
+"""Depth bits: shadows in mountains with 16, 24 and 32 of them, and the errors that follow from a depth's step."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ RELIEF_M, SIDE_M, MIDDLE_M = 2000, 12_000, 6000
 EYE_M, AHEAD = (0.0, 0.0), (0.6, 0.8)
 PLANE, OFFSET = "receiver_plane", "polygon_offset"
 STEPS_OFF = {PLANE: 1.0, OFFSET: 4.5}
-"""How many steps of the map a depth may be off: half by rounding what is drawn, and half that the point is held nearer, or the four
-units that depths are drawn farther.
+"""The error of a depth in steps of the map: half a step by rounding, and half a step by the point's bias or the four units
+of polygon offset.
 """
 
 
 def mountains(folder: Path) -> Scene:
-    """Mountains of 2,000 m, and on a slope of them thin walls, behind which a shadow begins at no depth at all."""
+    """Return mountains of 2,000 m, with thin walls on a slope, behind which a shadow begins at zero depth."""
     trimesh.creation.box(extents=(6.0, 0.2, 3.0)).export(folder / "wall.obj")
     rng = np.random.default_rng(2)
     eye, ahead = np.array(EYE_M), np.array(AHEAD)
@@ -67,7 +67,10 @@ def measure() -> Figures:
 
 
 def _by_bits(look: ViewWithTruth, bias: str, altitude_deg: float) -> dict[str, Any]:
-    """Errors by bits; how many pixels change their class against 32 bits, as a share of the cast shadow, and how many may."""
+    """Return errors by bits.
+
+    Also the number of pixels whose class differs from that with 32 bits, as a share of the cast shadow, and its upper bound.
+    """
     plans = {bits: look.plan(one_map(MAP, bias=bias, depth_bits=bits)) for bits in BITS}
     dark = {bits: np.nan_to_num(look.visibility(plan), nan=1.0) < 0.5 for bits, plan in plans.items()}
     shaded = ~look.truth.lit & look.truth.valid & ~look.truth.attached
@@ -92,14 +95,14 @@ def _by_bits(look: ViewWithTruth, bias: str, altitude_deg: float) -> dict[str, A
 
 
 def _pixel_m(look: ViewWithTruth) -> np.ndarray:
-    """A pixel's side (rows, cols) on what faces the viewer, metres."""
+    """Return a pixel's side (rows, cols) on a surface that faces the viewer, metres."""
     if isinstance(look.view, MapView):
         return np.full(look.buffer.valid.shape, look.descriptor.pixel_m)
     return look.ahead_m * look.view.pixel
 
 
 NO_FINER = 1e-4
-"""Share of the cast shadow that may change where a map is no finer than another."""
+"""The share of the cast shadow that may change where one map is no finer than another."""
 
 
 def section(figures: Figures) -> Section:
@@ -206,10 +209,10 @@ def section(figures: Figures) -> Section:
 
 
 def _cost(its: Figures) -> float:
-    """What 16 bits add to the wrong share of 32."""
+    """Return the increase of the wrong share from 32 to 16 bits."""
     return its["16"]["wrong_cast"] - its["32"]["wrong_cast"]
 
 
 def _lit_share(rows: list[Figures]) -> float:
-    """Of what changes, the share that is truly lit."""
+    """Return the share of changes that are truly lit."""
     return sum(row["healed"] for row in rows) / max(sum(row["changed"] for row in rows), 1e-30)

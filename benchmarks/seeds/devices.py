@@ -1,6 +1,6 @@
-"""The figures of several devices on one page: a table's cells hold those of all, one after the other, and each judges the claims.
+"""The figures of several devices on one page: a table's cells hold those of all devices, and each device judges the claims.
 
-The first device is the one that the page is about; its order is that of the file of figures.
+The first device in the file of figures is the page's main device.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from benchmarks.seeds.claims import Claim, Experiment, Figures, Tables, claims_t
 from skugga.terrain.gl.device import Device
 
 DeviceFigures = dict[str, Any]
-"""Of a device: whether it is in ``software``, and its ``experiments`` by name."""
+"""A device's record: whether it is in ``software``, and its ``experiments`` by name."""
 
 Measured = dict[str, DeviceFigures]
-"""By OpenGL's name of the device."""
+"""Records by OpenGL's name of the device."""
 
 NO_GPU = """**Nothing on this page was measured on a GPU: there was none.** On a machine with one,
 `python -m benchmarks.seeds` makes all experiments there, and puts their figures beside these; `SKUGGA_EGL_DEVICE` says on which
@@ -29,18 +29,18 @@ reads some of it. So shares of stages mean less there than whole times."""
 
 
 def read_measured(path: Path) -> Measured:
-    """What was measured so far."""
+    """Read the measurements so far."""
     return json.loads(path.read_text("utf-8")) if path.exists() else {}
 
 
 def add_figures(measured: Measured, device: Device, name: str, figures: Figures) -> None:
-    """Note an experiment's figures on a device, instead of those that it had there; those of other devices stay."""
+    """Replace an experiment's figures of a device; those of other devices stay."""
     of_device = measured.setdefault(device.renderer, {"software": device.egl_device.software, "experiments": {}})
     of_device["experiments"][name] = figures
 
 
 def about_devices(measured: Measured) -> str:
-    """Which devices there are, and what the page says of them."""
+    """Return the devices' description in the page."""
     names = list(measured)
     lines = [f"Device: {names[0]}."]
     if len(names) > 1:
@@ -52,7 +52,7 @@ def about_devices(measured: Measured) -> str:
 
 
 def section_of(name: str, experiment: Experiment, measured: Measured) -> str | None:
-    """An experiment's part of the page, as Markdown, with the figures of all devices that it was made on."""
+    """Format an experiment's part of the page as Markdown, with the figures of all devices that ran it."""
     sections = {
         device: experiment.section(each["experiments"][name]) for device, each in measured.items() if name in each["experiments"]
     }
@@ -66,7 +66,7 @@ def section_of(name: str, experiment: Experiment, measured: Measured) -> str | N
 
 
 def _beside(tables: Tables, others: Mapping[str, Tables]) -> Tables:
-    """Tables whose cells hold what all devices found; one that has other rows than the first device's stands by itself, below."""
+    """Merge tables of all devices into common cells; a table with other rows than the first device's stands by itself, below."""
     found: Tables = []
     for number, (title, rows) in enumerate(tables):
         joined, apart = [[{key: [value] for key, value in row.items()} for row in rows], []]
@@ -84,7 +84,7 @@ def _beside(tables: Tables, others: Mapping[str, Tables]) -> Tables:
 
 
 def _heads(rows: list[dict[str, str]]) -> list[tuple[tuple[str, ...], str]]:
-    """What two tables have to have in common: columns, and what each row is about."""
+    """Return the parts that two mergeable tables share: columns, and the labels of rows."""
     return [((*row,), next(iter(row.values()))) for row in rows]
 
 

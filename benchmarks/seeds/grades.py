@@ -1,4 +1,4 @@
-"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): its grades (table 2), measured again.
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): replication of its grades (table 2).
 
 Errors are those against ray-traced truth (``skugga.shadows.truth.metrics``).
 """
@@ -41,13 +41,13 @@ from skugga.terrain.geo.camera import PerspectiveView
 ERROR_SIZE = (640, 512)
 
 MOVES = (-0.04, -0.02, 0.0, 0.02, 0.04)
-"""How far the camera moves to its right, for what small moves change, as a share of the median distance of what it sees."""
+"""Small moves of the camera to its right, as a share of the median distance of the visible points."""
 
 RIGHT = 0.001
-"""Share of the cast shadow, or of the decidable pixels, under which an error is none."""
+"""A share of the cast shadow, or of the decidable pixels, below this counts as no error."""
 
 AGREES = 0.5
-"""Least rank correlation that counts as agreement."""
+"""The least rank correlation that counts as agreement."""
 
 GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
     SM: {"boxgrid": (5, 2, 4), "rocks": (5, 3, 5), "street": (5, 2, 5), "room": (5, 4, 4), "water_tower": (5, 1, 5)},
@@ -59,9 +59,7 @@ GRADES: dict[str, dict[str, tuple[int, int, int]]] = {
 
 
 def errors(look: ViewWithTruth, asked: tuple[str, ...] = FOUR) -> Figures:
-    """Errors of what is asked for; of what is wrong the share that lies on foliage, and how many pixels a texel covers there
-    (median).
-    """
+    """Return errors of the algorithms; the share of wrong pixels on foliage, and the median number of pixels per texel there."""
     out: Figures = {}
     for key in asked:
         plan = look.plan(RIVALS[key])
@@ -76,7 +74,7 @@ def errors(look: ViewWithTruth, asked: tuple[str, ...] = FOUR) -> Figures:
 
 @cache
 def along_path(level: str) -> list[Figures]:
-    """Errors in a level's main view, the camera moved to its right by each of ``MOVES``."""
+    """Return errors in a level's main view, the camera moved to its right by each of ``MOVES``."""
     scene = bundled(level)
     view = scene.view("main", size=ERROR_SIZE)
     assert isinstance(view, PerspectiveView)
@@ -93,7 +91,7 @@ def measure() -> Figures:
 
 
 def _grade_figures(figures: Figures) -> dict[str, dict[tuple[str, str], float]]:
-    """What each column of grades is held against, by scene and algorithm: less is better."""
+    """Return the figures that are compared with each column of grades, by scene and algorithm: less is better."""
     paths, pairs = figures["paths"], [(scene, key) for scene in SCENES for key in FOUR]
 
     def of(scene: str, key: str, name: str) -> list[float]:
@@ -111,7 +109,7 @@ def _grade_figures(figures: Figures) -> dict[str, dict[tuple[str, str], float]]:
 
 
 GRADE_COLUMNS = {"speed": 0, "speed_sun": 0, "wrong_cast": 1, "edge_p95": 1, "robustness": 2}
-"""What is measured -> the grade that it is held against."""
+"""Measured figure -> the grade that it is compared with."""
 
 
 BY_AND_LARGE = "the order of the grades is that of the figures, by and large"
@@ -146,17 +144,17 @@ WHYS: dict[str, dict[str, str]] = {
         "hybrid": "the hybrid is as right as SV",
     },
 }
-"""By column, and by what is better here than it was graded: why."""
+"""Reasons, by column and by the algorithm that is better here than its grade."""
 
 
 def agreement(column: str, measured: dict[tuple[str, str], float]) -> float:
-    """Spearman's rank correlation of a column's grades and what was measured: 1 where the better grade has the lesser figure."""
+    """Return Spearman's rank correlation of a column's grades and the figures: 1 where the better grade has the lesser figure."""
     grades = [GRADES[key][scene][GRADE_COLUMNS[column]] for scene, key in measured]
     return float(spearmanr(grades, np.round([-value for value in measured.values()], 4)).statistic)
 
 
 def contradictions(column: str, measured: dict[tuple[str, str], float]) -> dict[str, list[str]]:
-    """Scenes, with the pairs of algorithms that the grades order one way and the figures the other."""
+    """Return scenes with the pairs of algorithms that grades and figures order differently."""
     out: dict[str, list[str]] = {}
     for scene in SCENES:
         for one, other in permutations(FOUR, 2):

@@ -1,7 +1,7 @@
-"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figures 52 and 53 again: map size and cut-off angle.
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), replication of figures 52 and 53: map size and cut-off angle.
 
-Every picture is held against ray-traced truth (``skugga.shadows.truth.metrics``), with maps of one tap, so that texels are
-measured, not filters.
+Every picture is compared with ray-traced truth (``skugga.shadows.truth.metrics``). Maps have one tap, so that the errors are those
+of texels, not of filters.
 """
 
 from __future__ import annotations
@@ -19,29 +19,30 @@ from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
 from skugga.shadows.truth.metrics import boundary
 
 FRAME = (1280, 1024)
-"""The thesis's own frames."""
+"""The thesis's frame size."""
 
 MAP_SIZES = (256, 512, 1024, 2048, 4096)
 FINE = 2048
-"""The size that the thesis speaks of."""
+"""The map size in the thesis's text."""
 
 WIDE_DEG = 58.0
 """The cut-off angle of the thesis's water tower, by its own listing."""
 
 SHARP_EDGE_PX = 1.0
-"""A shadow whose edges are off by at most this, at the 95th percentile, counts as sharp: the least that is more than none."""
+"""A shadow is sharp if the 95th percentile of its edges' displacement is at most this, the least nonzero value."""
 
 PREDICTED_WITHIN = 1.35
-"""By this factor a measured mean displacement may differ from the predicted one, where texels are larger than pixels."""
+"""The tolerance factor between measured and predicted mean displacement, where texels are larger than pixels."""
 
 CROP: CropBox = (440, 520, 200, 160)
 
 
 def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray, float]:
-    """Unit axis (3,) and half angle, degrees, of the smallest cone from an apex about points (n, 3), to a thousandth of it.
+    """Return unit axis (3,) and half angle, degrees, of the smallest cone from an apex about points (n, 3), to a thousandth
+    of it.
 
-    Its axis goes through the middle of the smallest ball about the unit directions (M. Badoiu and K. Clarkson 2003, Smaller
-    core-sets for balls: each step goes a share of the way to the farthest one).
+    Its axis passes through the centre of the smallest ball about the unit directions (M. Badoiu and K. Clarkson 2003, Smaller
+    core-sets for balls: each step moves a share of the way to the farthest one).
     """
     directions = points_m - apex_m
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -53,10 +54,10 @@ def smallest_cone(apex_m: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray,
 
 
 def texels_at_edges_px(look: ViewWithTruth, map_size: int) -> np.ndarray:
-    """How many pixels a texel of a spot's map covers at the pixels (n,) of truth's shadow edges.
+    """Return the pixels per texel of a spot's map at the pixels (n,) of truth's shadow edges.
 
-    d = d_s (r_s / r_i) (cos b / cos a): a texel's side d_s at distance 1 from the light, the distances r_s from there and r_i to
-    the eye, the angles a and b between the surface's normal and the ways to the light and to the eye (M. Stamminger and G.
+    d = d_s (r_s / r_i) (cos b / cos a): a texel's side d_s at distance 1 from the light, the distances r_s to the light and r_i to
+    the eye, the angles a and b between the surface's normal and the directions to the light and to the eye (M. Stamminger and G.
     Drettakis 2002; the thesis's equation 1).
     """
     buffer, lamp, receivers = look.buffer, look.scene.lamps[look.light], look.receivers
@@ -70,7 +71,7 @@ def texels_at_edges_px(look: ViewWithTruth, map_size: int) -> np.ndarray:
 
 
 def measure() -> Figures:
-    """The water tower's shadow by map size, under the smallest spot that holds the tower, and under a wide one."""
+    """Measure the water tower's shadow by map size, under the smallest spot that contains the tower, and under a wide one."""
     level, rows, cells = level_of("thesis_water_tower"), [], []
     lamp = level["lights"]["lamp"]
     with TemporaryDirectory() as name:
@@ -103,7 +104,7 @@ def section(figures: Figures) -> Section:
     falls = all_of(
         at_least(a["wrong_cast"], b["wrong_cast"]) for part in (small, wide) for a, b in zip(part, part[1:], strict=False)
     )
-    sharp = fine["edge_p95"] <= SHARP_EDGE_PX  # both are whole pixels, or near them: no draws
+    sharp = fine["edge_p95"] <= SHARP_EDGE_PX  # both are whole pixels, or nearly: no draws
     nice = all_of((falls, sharp))
     worse = all_of(at_least(b["wrong_cast"], a["wrong_cast"]) for a, b in zip(small, wide, strict=True))
     jagged = all_of((worse, fine_wide["edge_p95"] > SHARP_EDGE_PX))

@@ -1,7 +1,7 @@
-"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figures 54 and 55 again: perspective maps by the light's place.
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), replication of figures 54 and 55: perspective maps by light.
 
-Every picture is held against ray-traced truth (``skugga.shadows.truth.metrics``), with maps of one tap. Some rows are *controls*,
-an algorithm with one idea taken out of it, to find the cause of a difference by experiment.
+Every picture is compared with ray-traced truth (``skugga.shadows.truth.metrics``). Maps have one tap. Some rows are *controls*, an
+algorithm without one of its parts, to find the cause of a difference by experiment.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TEXELS = 512
 """Map size."""
 
 LIGHT_M = (113.0, 54.0)
-"""How far away and how high the spot of figure 54 stands, metres, over the middle circle: as in the bundled level."""
+"""Distance and height of the spot of figure 54, metres, over the middle circle: as in the bundled level."""
 
 SUN_ALTITUDE_DEG = 28.0
 FLOOR_M = 280.0
@@ -44,11 +44,11 @@ NEARER = (1.5, 0.5, 0.25)
 """Distances of the spot in figure 55 from the objects, as shares of the camera's."""
 
 NEAR_PLACES = ((180.0, 45.0), (45.0, 70.0), (315.0, 70.0))
-"""Where it stands as the objects see it: degrees clockwise of the view's direction, and degrees high."""
+"""Its directions from the objects: degrees clockwise of the view's direction, and degrees of altitude."""
 
 NEAR_CUTOFF_DEG = 75.0
 SHOWN = NEAR_PLACES[0][0], NEARER[-1]
-"""Direction and distance of what the sheet of figure 55 shows."""
+"""Direction and distance of the pictures in the sheet of figure 55."""
 
 DIRECTION_CROP: CropBox = (80, 330, 400, 270)
 BAD_CROP: CropBox = (240, 230, 480, 360)
@@ -72,20 +72,21 @@ LIGHTS: dict[str, tuple[float, float | None, float, dict[str, float]]] = {
     SUN_FRONT: (0.0, None, SUN_ALTITUDE_DEG, {}),
     SUN_BEHIND: (180.0, None, SUN_ALTITUDE_DEG, {}),
 }
-"""Lights of figure 54: degrees clockwise from the view, distance on the ground and height, metres, and what is other than in the
-bundled level; a sun's altitude, degrees."""
+"""Lights of figure 54: degrees clockwise from the view, distance on the ground and height, metres, and the keys that differ
+from the bundled level; a sun's altitude, degrees.
+"""
 
 
 @contextmanager
 def without_perspective() -> Iterator[None]:
-    """Perspective maps as uniform ones, fitted to the same receivers."""
+    """Replace perspective maps by uniform ones, fitted to the same receivers."""
     with patch.object(post_perspective, "CONE_DEG", 90.0):
         yield
 
 
 @contextmanager
 def without_uniform_maps() -> Iterator[None]:
-    """Perspective maps that are uniform ones only where no slide-back is possible, not where these have the smaller texels."""
+    """Allow uniform maps only if no slide-back is possible, not if these have the smaller texels."""
 
     def made(*of: Any) -> PostPerspective:
         one = PostPerspective(*of)
@@ -97,7 +98,7 @@ def without_uniform_maps() -> Iterator[None]:
 
 @contextmanager
 def without_slide_back() -> Iterator[None]:
-    """Perspective maps of the camera's own perspective, or of the shortest slide-back that keeps all on the map."""
+    """Use the camera's own perspective, or the shortest slide-back that keeps everything on the map."""
     ranked = perspective_shadow_map.post_perspectives
 
     def shortest_first(*given: Any) -> list[PostPerspective]:
@@ -108,7 +109,9 @@ def without_slide_back() -> Iterator[None]:
 
 
 def variants() -> dict[str, Variant]:
-    """A map of all that the light shines at, and four of what is seen: without and with the camera's perspective."""
+    """Return a map of everything that the light reaches, and four of the visible part: without and with the camera's
+    perspective.
+    """
     overrides = {"map_size": TEXELS, "filter": 1}
     perspective = {**overrides, "algorithm": "perspective_shadow_map"}
     return {
@@ -121,7 +124,7 @@ def variants() -> dict[str, Variant]:
 
 
 def thirds(look: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
-    """Wrong pixels in the nearest and in the farthest third of what is truly in cast shadow, as shares of that third."""
+    """Return wrong pixels in the nearest and in the farthest third of true cast shadow, as shares of that third."""
     truth, ahead_m = look.truth, look.ahead_m
     cast = truth.decidable & ~truth.lit & look.receivers
     wrong = truth.decidable & (dark == truth.lit) & look.buffer.valid
@@ -131,8 +134,10 @@ def thirds(look: ViewWithTruth, dark: np.ndarray) -> dict[str, float]:
 
 
 def stone_circles(folder: Path, view: str, turn_deg: float, distance_m: float | None, up: float, **lamp: Any) -> Scene:
-    """The stone circles under a light ``turn_deg`` clockwise of where a view looks: a spot so far from what is looked at and so
-    high, metres; the sun, ``up`` degrees high, where there is no distance.
+    """Return the stone circles under a light ``turn_deg`` clockwise of a view's direction.
+
+    The light is a spot at a distance and a height, metres, from the view's target; without a distance it is the sun at ``up``
+    degrees.
     """
     level = level_of("thesis_rocks_sun" if distance_m is None else "thesis_rocks")
     level["terrain"]["flat"]["size"] = [FLOOR_M, FLOOR_M]
@@ -152,7 +157,7 @@ def _row(look: ViewWithTruth, name: str, variant: Variant, place: dict[str, Any]
 
 
 def measure_light_direction() -> Figures:
-    """The stone circles with the light about the viewer: uniform and perspective maps of one size, and controls."""
+    """Measure the stone circles with the light around the viewer: uniform and perspective maps of one size, and controls."""
     rows, cells = [], []
     with TemporaryDirectory() as folder:
         for light, (turn_deg, distance_m, up, lamp) in LIGHTS.items():
@@ -169,7 +174,7 @@ def measure_light_direction() -> Figures:
 
 
 def measure_bad_case() -> Figures:
-    """The stone circles from afar, with a spot that comes nearer to them than the camera is."""
+    """Measure the stone circles from afar, with a spot that comes nearer to them than the camera."""
     spec, rows, cells = level_of("thesis_rocks")["views"]["overview"], [], []
     distance_m = float(np.linalg.norm(np.subtract(spec["eye"], [*spec["target"][:2], 0.0])))
     with TemporaryDirectory() as folder:

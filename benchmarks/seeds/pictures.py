@@ -1,4 +1,4 @@
-"""Sheets of pictures that the seeds' experiments draw: parts of views as rendered, and with their errors in colour."""
+"""Contact sheets of the seeds' experiments: parts of views as rendered, and with their errors in colour."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ IMAGES = Path(__file__).parents[2] / "docs" / "images"
 MAX_KB = 200
 
 IN_SHADOW = 0.45
-"""Share of its light that a pixel in shadow keeps in pictures of errors."""
+"""The brightness of a pixel in shadow in pictures of errors."""
 
 CropBox = tuple[int, int, int, int]
 """Left, top, width and height of a crop, pixels."""
@@ -35,7 +35,7 @@ class CaptionedPicture:
 
 
 def drawn(look: ViewWithTruth, variant: Variant, box: CropBox, shrink: int = 1) -> Image.Image:
-    """A part of a view as it is rendered, ``shrink`` times smaller: of what does not go by the view's extent alone."""
+    """Draw a part of a view, ``shrink`` times smaller; only for settings that do not depend on the view's extent."""
     with variant.without():
         color = render_frame(look.scene, _part(look.perspective, box), look.plan(variant.asked)).color
     clear_caches("light")
@@ -43,7 +43,7 @@ def drawn(look: ViewWithTruth, variant: Variant, box: CropBox, shrink: int = 1) 
 
 
 def wrong_in(look: ViewWithTruth, each: DrawnVariant, box: CropBox) -> Image.Image:
-    """A part of what was found in gray, false shadow red and missed shadow blue."""
+    """Draw a part of a result in gray, false shadow red and missed shadow blue."""
     left, top, width, height = box
     here = slice(top, top + height), slice(left, left + width)
     gray = render_frame(look.scene, _part(look.perspective, box), look.plan({"algorithm": "none"})).color.mean(axis=2)
@@ -65,13 +65,13 @@ _written = True
 
 
 def write_pictures(write: bool) -> None:
-    """Whether sheets are written from now on: the page shows those of one device."""
+    """Enable or disable writing of sheets: the page shows those of one device."""
     global _written
     _written = write
 
 
 def write_sheet(name: str, cells: Sequence[CaptionedPicture], columns: int) -> None:
-    """Cells of one size in rows, each over its caption, as a file in ``IMAGES``."""
+    """Write cells of one size in rows, each over its caption, as a file in ``IMAGES``."""
     if not _written:
         return
     width, height = cells[0].picture.size

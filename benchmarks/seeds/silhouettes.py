@@ -1,4 +1,4 @@
-"""The bachelor's report of Copenhagen again: shadow volumes with and without silhouettes, z-pass and z-fail."""
+"""Replication of the bachelor's report of Copenhagen: shadow volumes with and without silhouettes, z-pass and z-fail."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ INSIDE = "thesis_boxgrid_sun", "close"
 """A level and its view whose eye is in the shadow."""
 
 SAME_PICTURE_SHARE = 1e-4
-"""Pictures are the same where no larger share of their pixels differs."""
+"""Pictures count as the same if at most this share of their pixels differs."""
 
 INSIDE_WRONG = 0.001
-"""So much of the cast shadow may be wrong where counting is right."""
+"""The tolerated wrong share of the cast shadow where counting is right."""
 
 CountingSetting = Literal["auto", "z_fail"]
 
@@ -57,8 +57,9 @@ def measure() -> Figures:
 
 
 def _volumes_of(level: str) -> dict[str, float]:
-    """Volumes over the very same casting triangles, counted by z-fail, once with the edges that neighbours share and once with each
-    side an edge; and those of the engine, counted by z-fail, as it does by itself, and so without their caps.
+    """Measure volumes over the same casting triangles, counted by z-fail, with shared edges and with each side as an edge.
+
+    Also measure the engine's volumes, counted by z-fail, by the engine's own choice, and so without their caps.
     """
     look = view_with_truth(bundled(level), "main", SIZE)
     light = np.array(look.scene.light_position(SUN, look.buffer.frame))
@@ -69,7 +70,7 @@ def _volumes_of(level: str) -> dict[str, float]:
     groups = batches(vertices, triangles, shared, turns, light, MAX_VOLUME_LAYERS)
 
     def built(edges: Edges) -> list[Volumes]:
-        turns_of(facing(vertices, triangles, light), rule)  # what each new sun has to ask
+        turns_of(facing(vertices, triangles, light), rule)  # the work for each new sun
         return [extruded(vertices, silhouette(triangles, edges, group), light) for group in groups]
 
     silhouettes, polygons, own = built(shared), built(apart), _engines(look, light)
@@ -101,12 +102,12 @@ def _volumes_of(level: str) -> dict[str, float]:
 
 
 def _engines(look: ViewWithTruth, light: np.ndarray) -> list[Volumes]:
-    """The volumes that the engine makes of a view's meshes."""
+    """Return the engine's volumes of a view's meshes."""
     return volumes_of(look.buffer, look.scene, light, ("meshes",), look.casters, PassRecord(""))
 
 
 def _counted(look: ViewWithTruth, light: np.ndarray, volumes: list[Volumes], counting: CountingSetting) -> tuple[np.ndarray, int]:
-    """How many volumes hold each point that faces the sun (rows, cols), and how many faces were drawn for that."""
+    """Return the number of volumes that contain each point that faces the sun (rows, cols), and the number of drawn faces."""
     record = PassRecord("")
     wanted = look.receivers
     return count(
@@ -115,7 +116,7 @@ def _counted(look: ViewWithTruth, light: np.ndarray, volumes: list[Volumes], cou
 
 
 def unshared(triangles: np.ndarray) -> Edges:
-    """Edges of triangles (m, 3) as if none shared any: the silhouette of such a mesh is that of each triangle by itself."""
+    """Return edges of triangles (m, 3) as if none were shared: the silhouette of such a mesh is that of each triangle."""
     start, end = triangles, np.roll(triangles, -1, axis=1)
     ends = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=-1).reshape(-1, 2)
     along = np.where(start < end, np.int8(1), np.int8(-1))
@@ -123,7 +124,7 @@ def unshared(triangles: np.ndarray) -> Edges:
 
 
 def extruded(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes:
-    """The sun's volumes over a silhouette's caps: a triangle to infinity from each edge, and the caps, all of them one caster."""
+    """Return the sun's volumes over a silhouette's caps, as one caster: a triangle to infinity from each edge, and the caps."""
     count = len(vertices)
     a, b = np.repeat(of.edges, of.times, axis=0).T
     sides = np.column_stack([b, a, np.full(len(a), count)])
@@ -136,8 +137,8 @@ def extruded(vertices: np.ndarray, of: Silhouette, light: np.ndarray) -> Volumes
 
 @compiled
 def neighbours_by_search(ends):
-    """The neighbour (m, 3) of each side of triangles whose sides have ends (m, 3, 2), -1 for none: every side held against every
-    other one.
+    """Return the neighbour (m, 3) of each side of triangles whose sides have ends (m, 3, 2), -1 for none, by exhaustive
+    comparison.
     """
     count = len(ends)
     out = np.full((count, 3), -1, np.int32)
@@ -152,12 +153,12 @@ def neighbours_by_search(ends):
 
 
 def _inside() -> dict[str, float]:
-    """With the eye in the shadow: wrong shares of the cast shadow for z-pass alone, for z-fail, and as casters ask for it."""
+    """Measure with the eye in shadow: wrong shares of the cast shadow for z-pass, for z-fail, and as casters request it."""
     level, name = INSIDE
     look = view_with_truth(bundled(level), name, SIZE)
     light = np.array(look.scene.light_position(SUN, look.buffer.frame))
     own = _engines(look, light)
-    beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: all is counted by z-pass
+    beyond_m = 1e6 * light[:3]  # bounds far down the rays shade nothing before the eye: z-pass counts everything
     by_pass = [replace(each, low_m=each.low_m - beyond_m, high_m=each.high_m - beyond_m) for each in own]
     methods: dict[str, tuple[list[Volumes], CountingSetting]] = {
         "z_pass": (by_pass, "auto"),

@@ -1,5 +1,5 @@
-"""The SpatialAce thesis (Chalmers) again: frames with maps redrawn and kept, by the map's size, and what 16 bits and 512 texels
-a side are worth.
+"""Replication of the SpatialAce thesis (Chalmers): frames with redrawn and cached maps by map size; benefit of 16 bits and
+512 texels.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ REPEATS = 11
 FRAME = (800, 600)
 SIZES = (64, 128, 256, 512, 1024)
 CHOSEN = "512"
-"""The size that the thesis settles for."""
+"""The size that the thesis chooses."""
 
 THEIR_FPS_WITHOUT = 58.88
 THEIR_FPS = {"redrawn": (12.35, 10.21, 6.03, 2.22, 0.83), "kept": (16.68, 16.68, 16.68, 16.41, 16.15)}
-"""The thesis's frames a second, without shadows and by the size of the map."""
+"""The thesis's frames a second, without shadows and by map size."""
 
 BLOCK_PX = 16
-"""Side of the blocks that shadow shares are compared in."""
+"""Side of the blocks whose shadow shares are compared."""
 
 HIDDEN_TEXELS = 2.0
-"""So near to where a surface turns towards the sun, in texels of the map, a place counts as its edge."""
+"""A place this near to the terminator, in texels of the map, counts as its edge."""
 
 STEEP, FLAT_SCENE, TWICE = 1.5, 1.1, 2.0
-"""A cost grows steeply from the smallest map to the largest from the first on, hardly up to the second; a gain is large from the
-third on.
+"""Ratios of costs and gains. A cost grows steeply from the smallest map to the largest at the first ratio and above, hardly
+below the second; a gain is large at the third and above.
 """
 
 ENOUGH = 0.03
-"""An error that the engine asks for where nothing else is asked (``shadows.max_error``)."""
+"""The engine's default target error (``shadows.max_error``)."""
 
 TENTH = 0.1
-"""What bits change may be at most this share of what is off anyway."""
+"""Bits may change at most this share of the existing error."""
 
 MIN_LEAK = 0.01
-"""Share of what is turned away that a map has to leave lit before there is anything to hide."""
+"""The least share of lit points on surfaces turned away from the sun at which there is acne to hide."""
 
 
 def measure() -> Figures:
@@ -75,7 +75,7 @@ def measure() -> Figures:
 
 
 def _passes_ms(look: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[str, float]]:
-    """Median milliseconds of drawing a map and of looking it up, by the map's size; sizes take turns."""
+    """Return median milliseconds of drawing a map and of its lookup, by map size; sizes take turns."""
 
     def drawn(plan: Plan) -> PassLog:
         clear_caches("light")
@@ -94,10 +94,11 @@ def _passes_ms(look: ViewWithTruth, plans: dict[int, Plan]) -> dict[str, dict[st
 
 
 def _hidden(look: ViewWithTruth, plan: Plan) -> dict[str, float]:
-    """What a map alone, biased as maps were, says of surfaces turned away from the sun: the share that it leaves lit, and how much
-    of that, and of all that is turned away, lies within ``HIDDEN_TEXELS``, along the rays, of what the sun meets first.
+    """Return the answers of a map alone, with the former bias, on surfaces turned away from the sun.
 
-    Their normals are turned round, so that the map takes them for receivers; ``polygon_offset`` makes no use of normals.
+    The figures are the share that it leaves lit, and how much of that, and of all such surfaces, lies within ``HIDDEN_TEXELS``,
+    along the rays, of the first hit from the sun. Their normals are flipped, so that the map treats them as receivers;
+    ``polygon_offset`` does not use normals.
     """
     turned = look.turned
     flipped = replace(

@@ -1,7 +1,7 @@
-"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): its times and its stencil, measured again.
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): replication of its times and its stencil.
 
-What `benchmarks/seeds` runs as ``stages`` (figure 47, section 7.1 and what chapter 2 says of frames) and ``stencil`` (figure
-22), beside ``grades`` and ``advice`` of ``seeds_grades``.
+`benchmarks/seeds` runs it as ``stages`` (figure 47, section 7.1 and chapter 2's statements on frames) and ``stencil`` (figure 22),
+beside ``grades`` and ``advice``.
 """
 
 from __future__ import annotations
@@ -45,25 +45,25 @@ HALF_SIZE = 640, 512
 STENCIL_REPEATS, FRAME_REPEATS = 7, 4
 MAP_SIZES = 256, 1024
 THEIR_GROWTH = 260.0 / 200.0
-"""How much longer the thesis's frames take with the larger of these maps."""
+"""The increase of the thesis's frame times with the larger of these maps."""
 
 THEIR_MAP_SHARE = 0.25, 0.45
-"""What counts as about the share, 35 %, that making the map has of its frames."""
+"""The range that counts as about 35 %, the map's share of the thesis's frames."""
 
 LITTLE = 1.5
-"""Up to so many times another time is a little behind it."""
+"""Up to this ratio a time is a little behind another."""
 
 MUCH_THE_SAME = 0.8
-"""Of a time, what is still about as long."""
+"""Up to this ratio a time is about as long as another."""
 
 INDEPENDENT = 1.25
-"""Up to so many times as long with four times the pixels a time does not depend on them."""
+"""A time does not depend on the pixels if four times as many increase it by at most this ratio."""
 
 STENCIL_LEVELS = "water_tower", "water_tower_sun", "boxgrid"
 
 
 def timed_sizes(level: str) -> Figures:
-    """Times in a level's main view, whole and with a quarter of the pixels: by algorithm and size."""
+    """Return times in a level's main view, whole and with a quarter of the pixels: by algorithm and size."""
     runs = {}
     for size in (SIZE, HALF_SIZE):
         view_shot = shot(level, "main", size)
@@ -73,9 +73,7 @@ def timed_sizes(level: str) -> Figures:
 
 
 def whole_frames(level: str) -> Figures:
-    """Median milliseconds of finished frames without shadows and with maps of ``MAP_SIZES`` made anew, and what part is making
-    the map.
-    """
+    """Return median milliseconds of finished frames without shadows and with redrawn maps of ``MAP_SIZES``, and the map's share."""
     scene = bundled(level)
     view = scene.view("main", size=SIZE)
     descriptor = describe(scene, view, "main")

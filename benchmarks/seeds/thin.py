@@ -1,4 +1,4 @@
-"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figure 56 again: thin casters and the hybrid's map."""
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), replication of figure 56: thin casters and the hybrid's map."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, percent
 from benchmarks.seeds.views import Variant, bundled, draw_variant, view_with_truth
 
 FRAME = (1280, 1024)
-"""The thesis's own frames."""
+"""The thesis's frame size."""
 
 MAP_SIZES = (128, 256, 512, 1024)
 SHOWN = (128, 512)
 MASKS = ("original", "conservative")
 
 MAX_WRONG = 0.001
-"""Share of cast shadow that an exact algorithm may get wrong: what lies within the rasteriser's 1/256 pixel of an edge."""
+"""The tolerated wrong share of cast shadow of an exact algorithm: pixels within the rasteriser's 1/256 pixel of an edge."""
 
 CROP: CropBox = (180, 500, 480, 300)
 
 
 def measure() -> Figures:
-    """The water tower's ladder and braces by the hybrids, by map size."""
+    """Measure the water tower's ladder and braces by the hybrids, by map size."""
     rows, cells = [], []
     look = view_with_truth(bundled("thesis_water_tower"), "close", FRAME)
     for mask in MASKS:

@@ -1,6 +1,6 @@
 """Times of shadow algorithms, and of other tasks, that take turns.
 
-Times are those of the shadow alone (``algorithms.turns``), medians; what is timed once in a process is not timed again.
+Times are those of the shadow alone (``algorithms.turns``), medians; each is measured once in a process.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ REPEATS = 3
 PASS_STAGES = {
     "map": "map", "depth map": "map", "visibility": "look-up", "mask": "look-up", "silhouettes": "volumes", "stencil": "counting",
 }  # fmt: skip
-"""Passes of the algorithms -> the stages that the thesis tells apart; what is left lies between the passes."""
+"""Passes of the algorithms -> the thesis's stages; the rest lies between the passes."""
 BETWEEN = "between"
 STAGE_NAMES = (*dict.fromkeys(PASS_STAGES.values()), BETWEEN)
 
 
 @cache
 def timed(level: str, view: str, asked: tuple[str, ...] = FOUR, repeats: int = REPEATS) -> Figures:
-    """Times of what is asked for in a view."""
+    """Return times of algorithms in a view."""
     view_shot = shot(level, view, SIZE)
     every = {**RIVALS, **COUNTING_VARIANTS}
     return medians(
@@ -43,7 +43,7 @@ def timed(level: str, view: str, asked: tuple[str, ...] = FOUR, repeats: int = R
 
 
 def medians(runs: dict[str, tuple[Shot, Plan]], repeats: int) -> Figures:
-    """Median milliseconds of each run, all in all and by stage, redrawn and kept, and the share of pixels that are marked."""
+    """Return median milliseconds of each run, total and by stage, redrawn and cached, and the share of marked pixels."""
     found = turns(runs, repeats)
     out: Figures = {}
     for (key, how), milliseconds_of_runs in found.times_ms.items():
@@ -60,13 +60,14 @@ def medians(runs: dict[str, tuple[Shot, Plan]], repeats: int) -> Figures:
 
 
 def ratio(at: Figures, one: str, other: str, how: str = "redrawn") -> float:
-    """Time of one algorithm, of another's."""
+    """Return the ratio of one algorithm's time to another's."""
     return at[one][how]["ms"] / at[other][how]["ms"]
 
 
 def interleaved_times(tasks: dict[str, Callable[[], T]], repeats: int) -> dict[str, list[tuple[float, T]]]:
-    """Milliseconds of tasks and what they give, task by task; they take turns, forwards and backwards by turns, and the first turn,
-    which compiles and allocates, is left out.
+    """Return milliseconds and results of tasks, task by task.
+
+    Tasks take turns in alternating order. The first turn, which compiles and allocates, does not count.
     """
     results: dict[str, list[tuple[float, T]]] = {name: [] for name in tasks}
     for number in range(repeats + 1):

@@ -1,4 +1,4 @@
-"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figure 57 again: a tree whose meshes are not closed."""
+"""J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), replication of figure 57: a tree whose meshes are not closed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BARK, LEAF_GREEN = (96, 74, 54, 255), (78, 118, 52, 255)
 
 @contextmanager
 def closed_meshes_alone() -> Iterator[None]:
-    """Volumes of the triangles that face the light, with sides at edges between two triangles, as for closed meshes."""
+    """Use volumes of the triangles that face the light, with sides at edges between two triangles, as for closed meshes."""
 
     def between_two(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhouette:
         facing = np.maximum(turns, 0)
@@ -43,9 +43,9 @@ def closed_meshes_alone() -> Iterator[None]:
 
 
 def open_tree(seed: int = 7) -> trimesh.Trimesh:
-    """A tree of open tubes that run into one another, and of leaves that are two crossed rectangles each; metres.
+    """Return a tree of open tubes that intersect, and of leaves that are two crossed rectangles each; metres.
 
-    Nothing is closed, leaves face all ways, and half of them are oriented the other way round.
+    Nothing is closed, leaves face all directions, and half of them have the opposite winding.
     """
     rng = np.random.default_rng(seed)
     trunk = np.array([[0, 0, 0], [0.1, 0.05, 2.2], [-0.05, 0.1, 4.4], [0.1, 0, 7.6]])
@@ -77,7 +77,7 @@ def open_tree(seed: int = 7) -> trimesh.Trimesh:
 
 
 def _open_tube(path_m: np.ndarray, radii_m: list[float], sides: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of a tube along a path (k, 3), without ends."""
+    """Return vertices and triangles of a tube along a path (k, 3), without ends."""
     along = _unit(path_m[-1] - path_m[0])
     across = _unit(np.cross(along, np.eye(3)[np.argmin(np.abs(along))]))
     turn = 2.0 * np.pi * np.arange(sides) / sides
@@ -109,7 +109,7 @@ TREE_ROWS = {
 
 
 def measure() -> Figures:
-    """An open tree under a spot and under the sun, by all four algorithms and by volumes that take it for closed."""
+    """Measure an open tree under a spot and under the sun, by all four algorithms and by volumes that assume it closed."""
     rows, cells, tree = [], [], open_tree()
     sides = np.unique(np.sort(tree.edges, axis=1), axis=0, return_counts=True)[1]
     floor = {"version": 1, "terrain": {"flat": {"size": [50, 50], "cells": [100, 100]}}, "meshes": [{"source": "tree.ply"}]}

@@ -1,4 +1,4 @@
-"""How the seeds' experiments tell what they found: figures in words, and verdicts that leave a draw a draw."""
+"""Figures in words, and verdicts of the seeds' experiments; a draw remains a draw."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ REPORT = "bachelor's report, Copenhagen"
 SPATIALACE = "SpatialAce thesis, Chalmers"
 
 SAME = 1.05
-"""Figures within this factor of a limit, or of one another, are the same: that is a draw."""
+"""Figures within this factor of a limit, or of one another, are a draw."""
 
 DRAW = f"a draw: what decides lies within {100.0 * (SAME - 1.0):.0f} % of its limit"
 
@@ -19,23 +19,23 @@ SHORT = {SM: "SM", PSM: "PSM", SV: "SV", HYBRID: "hybrid"}
 SCENES = {"boxgrid": "BoxGrid", "rocks": "Rocks", "street": "Street", "room": "Room", "water_tower": "Water Tower"}
 
 ClaimVerdict = bool | None
-"""Whether a claim holds; ``None`` where that is a draw."""
+"""Whether a claim holds; ``None`` for a draw."""
 
 
 def at_most(value: float, limit: float) -> ClaimVerdict:
-    """Whether a figure is at most a limit."""
+    """Return whether a figure is at most a limit."""
     if value * SAME <= limit:
         return True
     return False if value > limit * SAME else None
 
 
 def at_least(value: float, limit: float) -> ClaimVerdict:
-    """Whether a figure is at least a limit."""
+    """Return whether a figure is at least a limit."""
     return at_most(limit, value)
 
 
 def all_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
-    """Whether all hold: not if one does not; a draw if none fails and one is a draw."""
+    """Return whether all hold: false if one fails; else a draw if one is a draw."""
     found = [*verdicts]
     if any(one is False for one in found):
         return False
@@ -43,7 +43,7 @@ def all_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
 
 
 def any_of(verdicts: Iterable[ClaimVerdict]) -> ClaimVerdict:
-    """Whether one holds: a draw if none does and one is a draw."""
+    """Return whether one holds: a draw if none does and one is a draw."""
     return opposite(all_of(opposite(one) for one in verdicts))
 
 
@@ -52,43 +52,43 @@ def opposite(verdict: ClaimVerdict) -> ClaimVerdict:
 
 
 def reason(verdict: ClaimVerdict, held: str, fails: str, draw: str = DRAW) -> str:
-    """The reason that goes with a verdict."""
+    """Return the reason for a verdict."""
     return draw if verdict is None else held if verdict else fails
 
 
 def percent(share: float) -> str:
-    """A share of errors in per cent, with two decimals at most."""
+    """Format a share of errors in per cent, with two decimals at most."""
     value = 100.0 * share
     return "under 0.01 %" if 0.0 < value < 0.005 else f"{round(value, 2 if value < 10.0 else 1):g} %"
 
 
 def up_to(share: float) -> str:
-    """The greatest of some shares of errors in per cent."""
+    """Format the largest of some shares of errors in per cent."""
     text = percent(share)
     return text if share == 0.0 or text.startswith("under") else f"at most {text}"
 
 
 def whole_percent(share: float) -> str:
-    """A share of a time in per cent."""
+    """Format a share of a time in per cent."""
     return f"{100.0 * share:.0f} %"
 
 
 def factor(ratio: float) -> str:
-    """A ratio with two digits, and all of those before the point."""
+    """Format a ratio with two significant digits, or as a whole number."""
     return f"{ratio:.0f}" if ratio >= 10.0 else f"{ratio:.2f}"
 
 
 def titled(name: str) -> str:
-    """A scene's name in words; any other as it is."""
+    """Return a scene's name in words; any other name unchanged."""
     scene, rest = next(((scene, name[len(scene) :]) for scene in SCENES if name.startswith(scene)), ("", name))
     return f"{SCENES.get(scene, '')}{rest.replace('_sun', ' (sun)')}"
 
 
 def listed_by_scene(values: dict[str, float], told: Callable[[float], str] = factor) -> str:
-    """Values by the names of their scenes."""
+    """Format values by the names of their scenes."""
     return ", ".join(f"{titled(name)} {told(value)}" for name, value in values.items())
 
 
 def named(found: list[str]) -> str:
-    """Names of scenes."""
+    """Format names of scenes."""
     return ", ".join(map(titled, found)) or "none"

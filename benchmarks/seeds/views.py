@@ -1,4 +1,4 @@
-"""Views beside their ray-traced truth: what the seeds' experiments hold algorithms against."""
+"""Views with their ray-traced truth, for the seeds' experiments."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from skugga.terrain.level.level import SUN, load_level
 from skugga.terrain.scene import Scene, build_scene
 
 SAMPLES = 4
-"""Sub-samples a pixel by which truth tells what is decidable."""
+"""Sub-samples a pixel that decide where truth is decidable."""
 
 Asked = dict[str, Any]
 LevelDocument = dict[str, Any]
@@ -44,7 +44,7 @@ LevelDocument = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class ViewWithTruth:
-    """A view of a scene with its first light: what it shows, what casts, and the truth that pictures are held against."""
+    """A view of a scene with its first light: its points, its casters, and the truth that pictures are compared with."""
 
     scene: Scene
     view: MapView | PerspectiveView
@@ -56,12 +56,12 @@ class ViewWithTruth:
 
     @cached_property
     def receivers(self) -> np.ndarray:
-        """Where cast shadow can lie (rows, cols): surface that the light can reach."""
+        """The mask of possible cast shadow (rows, cols): surface that the light can reach."""
         return self.buffer.valid & ~attached(self.buffer, self.scene, self.light)
 
     @property
     def turned(self) -> np.ndarray:
-        """Where the surface is turned away from the light or lies outside of its cone (rows, cols)."""
+        """The mask of surface that faces away from the light or lies outside its cone (rows, cols)."""
         return self.buffer.valid & ~self.receivers
 
     @property
@@ -71,12 +71,12 @@ class ViewWithTruth:
 
     @property
     def ahead_m(self) -> np.ndarray:
-        """How far ahead of the eye what is seen lies (rows, cols)."""
+        """Distances ahead of the eye of the visible points (rows, cols)."""
         eye, camera_from_frame = self.perspective.in_frame(self.buffer.frame)
         return (self.buffer.position_frame_m - eye) @ camera_from_frame[2]
 
     def plan(self, asked: Asked) -> Plan:
-        """A plan; ``bias_scale`` is no key of a level: it goes into the settings themselves."""
+        """Return a plan; ``bias_scale`` is no key of a level: it changes the settings themselves."""
         asked = dict(asked)
         scale = asked.pop("bias_scale", None)
         plan = make_plan(self.descriptor, self.scene.loaded.level, asked)
@@ -89,33 +89,33 @@ class ViewWithTruth:
         return plan.model_copy(update={"settings": {self.light: scaled}})
 
     def visibility(self, plan: Plan, log: PassLog | None = None) -> np.ndarray:
-        """The light's visibility as a plan fills it, attached shadow included; NaN off the surface."""
+        """Return the light's visibility by a plan, attached shadow included; NaN off the surface."""
         steps = plan.steps_under(self.light)
         return self.finished(fill_steps(steps, self.buffer, self.scene, self.casters, plan.runs, log or PassLog()))
 
     def finished(self, visibility: np.ndarray) -> np.ndarray:
-        """A visibility with attached shadow in it, NaN off the surface."""
+        """Return a visibility with attached shadow, NaN off the surface."""
         return np.where(self.buffer.valid, np.where(self.receivers, visibility, np.float32(0.0)), np.float32(np.nan))
 
     def texels_px(self, plan: Plan) -> np.ndarray:
-        """How many pixels a texel of a plan's maps covers on level ground (rows, cols); 0 without maps."""
+        """Return the pixels per texel of a plan's maps on level ground (rows, cols); 0 without maps."""
         out = np.zeros(self.buffer.valid.shape)
         for step in plan.steps_under(self.light):
             out = np.maximum(out, texel_footprint_px(self.scene, step, self.buffer, self.descriptor.pixel_m))
         return out
 
     def errors(self, visibility: np.ndarray, texels_px: float | np.ndarray = 0.0) -> dict[str, float]:
-        """The figures of ``skugga.shadows.truth.metrics.ErrorMetrics``."""
+        """Return the figures of ``skugga.shadows.truth.metrics.ErrorMetrics``."""
         return asdict(error_metrics(visibility, self.truth, self.descriptor.pixel_m, texels_px))
 
 
 def view_with_truth(scene: Scene, name: str, size: tuple[int, int]) -> ViewWithTruth:
-    """A view of a scene, by name, in pixels (cols, rows), with its truth."""
+    """Return a view of a scene, by name, in pixels (cols, rows), with its truth."""
     return with_truth(scene, scene.view(name, size=size), name)
 
 
 def with_truth(scene: Scene, view: MapView | PerspectiveView, name: str) -> ViewWithTruth:
-    """Any view with its truth; ``name`` is the level's view whose settings it shares."""
+    """Return any view with its truth; ``name`` is the level's view whose settings it shares."""
     buffer, light = geometry_buffer(scene, view), scene.light_names[0]
     casters = find_casters(scene, buffer)
     truth = cached_truth(buffer, scene, casters, SAMPLES, light)
@@ -123,35 +123,35 @@ def with_truth(scene: Scene, view: MapView | PerspectiveView, name: str) -> View
 
 
 def bundled(name: str) -> Scene:
-    """The scene of a bundled level."""
+    """Return the scene of a bundled level."""
     return build_scene(load_level(find_level(name)))
 
 
 def level_of(name: str) -> LevelDocument:
-    """A bundled level as it stands in its file."""
+    """Return a bundled level as in its file."""
     return YAML(typ="safe").load(find_level(name))
 
 
 def scene_of(level: LevelDocument, folder: Path) -> Scene:
-    """The scene of a level that is written to a folder, beside the files that it names."""
+    """Build the scene of a level that is written to a folder, beside the files that it names."""
     path = folder / "level.yaml"
     path.write_text(json.dumps(level), encoding="utf-8")
     return build_scene(load_level(path))
 
 
 def one_map(size: int, **asked: Any) -> Asked:
-    """One hard-edged shadow map of 24 bits, unless something else is asked."""
+    """Return settings of one hard-edged shadow map of 24 bits, with overrides."""
     return {"algorithm": "shadow_map", "map_size": size, "cascades": 1, "filter": 1, "depth_bits": 24, **asked}
 
 
 def settings_of(look: ViewWithTruth, plan: Plan) -> AlgorithmSettings:
-    """Settings that all casters share."""
+    """Return settings that all casters share."""
     return next(iter(plan.settings[look.light].values()))
 
 
 @dataclass(frozen=True)
 class Variant:
-    """What is asked for, and, of a control, what is taken out of it meanwhile."""
+    """Overrides and, for a control, the part that is disabled meanwhile."""
 
     asked: Asked
     without: Callable[[], AbstractContextManager[Any]] = nullcontext
@@ -159,7 +159,7 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class DrawnVariant:
-    """What an algorithm made of a view: where it is dark (rows, cols), figures, and what its passes remark."""
+    """An algorithm's result in a view: its shadow (rows, cols), figures, and the notes of its passes."""
 
     dark: np.ndarray
     figures: dict[str, float]
@@ -167,8 +167,10 @@ class DrawnVariant:
 
 
 def draw_variant(look: ViewWithTruth, variant: Variant) -> DrawnVariant:
-    """What an algorithm makes of a view, everything drawn anew: errors, ``cast_edge_mean``, the mean displacement of the edges of
-    cast shadow alone, pixels, and ``marked``, the share of the surface's pixels that a hybrid leaves to its volumes.
+    """Draw an algorithm's result in a view, with everything redrawn.
+
+    The figures are errors; ``cast_edge_mean``, the mean displacement of the edges of cast shadow alone, pixels; and ``marked``, the
+    share of the surface's pixels that a hybrid leaves to its volumes.
     """
     log = PassLog()
     clear_caches("light")
@@ -187,7 +189,9 @@ def draw_variant(look: ViewWithTruth, variant: Variant) -> DrawnVariant:
 
 
 def shallow(look: ViewWithTruth, buffer: GeometryBuffer, depth_m: float) -> np.ndarray:
-    """Where points see the sun once they are moved so far towards it: less than that behind the first thing that the sun meets."""
+    """Return which points see the sun after a move of ``depth_m`` towards it: those less than that behind the first hit from
+    the sun.
+    """
     assert look.scene.sun is not None
     to_sun = look.scene.sun.in_frame(buffer.frame)
     moved = replace(buffer, position_frame_m=buffer.position_frame_m + depth_m * to_sun)

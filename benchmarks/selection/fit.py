@@ -49,7 +49,7 @@ EXACT = ("shadow_volume", "hybrid", "sweep", DECIMATED)
 KINDS: tuple[CasterKind, ...] = ("relief", "meshes", "forest")
 
 START = (*(1.0, 4.0, 1.2) * len(KINDS), 1.3, 3e-4, 3e-4)
-"""Bounds of: the parameters (maximum, half, steepness) of each kind of casters' response; pixels of a perspective map's
+"""Start values: the parameters (maximum, half, steepness) of each kind of casters' response; pixels of a perspective map's
 texels at the picture's own size; the floors of both kinds of maps.
 """
 
@@ -63,7 +63,7 @@ TOLD = 5e-4
 """The least share of wrong pixels for a fit of the interior ones."""
 
 USUAL_TIME_SPREAD = 0.2
-"""The weight of times where no calibration is available."""
+"""The spread of times where no calibration is available."""
 
 NOTHING_SHARED = SharedVariance(view=0.0, family=0.0)
 APART = SharedErrors(error=NOTHING_SHARED, interior=NOTHING_SHARED, time=NOTHING_SHARED)
@@ -133,9 +133,7 @@ def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> 
 
     It omits views whose targets use coverage.
     """
-    cases = [
-        case for case in cases if case.view["error"] != "coverage"
-    ]  # coverage is another figure, which the model does not predict
+    cases = [case for case in cases if case.view["error"] != "coverage"]  # the model does not predict coverage
     mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + ERROR_OFFSET)
 

@@ -115,9 +115,8 @@ def windows_between(
     if len(days) > MAX_DATES:
         raise InputError.over_limit("to", f"{len(days)} dates", str(MAX_DATES), "Choose an earlier date or a larger step")
     if world.off_earth_reason is not None:
-        raise InputError(
-            "date", Problem(f"a date does not define the sun here, since {world.off_earth_reason}"), "Use a level on the earth"
-        )
+        problem = Problem(f"'{first.isoformat()}' does not define the sun here, since {world.off_earth_reason}")
+        raise InputError("date", problem, "Use a level on the earth")
     if not isinstance(clock, str):
         for name, day in (("date", first), ("to", last)):
             day_bounds(day, clock, name)

@@ -67,7 +67,7 @@ def _preparing(task: str | None, done: int, total: int) -> dict[str, Any] | None
 
 @pytest.fixture
 def readiness(viewer: Viewer) -> ServiceReadiness:
-    """Return the readiness that the viewer is told; nothing can be drawn at first."""
+    """Return the readiness that the viewer polls; nothing can be drawn at first."""
     return _readiness_of(viewer)
 
 

@@ -227,9 +227,7 @@ def told(sights: list[MetricCoverage]) -> dict[str, float]:
 
 
 def untested(record: Mapping[str, Any]) -> list[str]:
-    """Return the names of figures whose coverage of the cast shadow is below ``MIN_COVERED_SHARE``: these could not notice its
-    loss.
-    """
+    """Return the names of figures whose coverage of the cast shadow is below ``MIN_COVERED_SHARE``."""
     return [name for name, sight in record.get("sights", {}).items() if sight and sight["sees"] < MIN_COVERED_SHARE]
 
 

@@ -47,7 +47,7 @@ def test_shadows_across_the_antimeridian_equal_those_elsewhere(write_raster, mak
 
 def test_crs_that_ends_at_the_antimeridian_gives_a_remedy(write_raster, make_scene):
     scene = hills(180.0, -17.0, write_raster, make_scene)
-    with pytest.raises(InputError, match="crs: .*Pseudo-Mercator.*UTM zone, or bounds"):
+    with pytest.raises(InputError, match="crs: .*Pseudo-Mercator.*UTM zone, or give bounds"):
         scene.view(crs="EPSG:3857")
     scene.view(crs="EPSG:4326")
     scene.view(crs="EPSG:3460")  # the CRS of Fiji

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import gc
 import os
 import threading
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
@@ -78,6 +79,7 @@ Scenario = Callable[[Animations, Studio], Awaitable[None]]
 
 def with_animations(scenario: Scenario, **settings) -> None:
     """Run a scenario, and make sure that nothing of it is left."""
+    gc.collect()  # files that earlier tests left to the garbage collector
     before = set(os.listdir("/proc/self/fd")), threading.active_count()
 
     async def run() -> None:

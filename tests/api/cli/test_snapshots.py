@@ -144,7 +144,7 @@ def test_a_level_without_a_sun_shows_its_lamp(yards: Client):
     own, lamp = (yards.get(cellar, params={"layer": "mask", **query}) for query in ({}, {"light": "lamp"}))
     assert own.content == lamp.content
     problem = check_problem(yards.get(cellar, params={"light": "sun"}), 422, "invalid_parameter", "light")
-    assert problem["detail"].endswith("allowed: lamp")
+    assert problem["detail"].endswith("Allowed: lamp.")
     lit = yards.get(cellar, params={"layer": "mask", "light": "sun", "azimuth": 90, "altitude": 40})
     assert MASK_LIT in pixels(lit)
 
@@ -248,10 +248,10 @@ def test_equal_snapshots_at_once_are_one_render(yards: Client):
     ("query", "parameter", "said"),
     [
         ("png?view=ridge", "view", "map, across, low"),
-        ("png?size=0x10", "size", "WxH"),
-        ("png?size=10", "size", "WxH"),
-        ("png?size=10x20x30", "size", "WxH"),
-        ("png?size=-5x20", "size", "WxH"),
+        ("png?size=0x10", "size", "WIDTHxHEIGHT"),
+        ("png?size=10", "size", "WIDTHxHEIGHT"),
+        ("png?size=10x20x30", "size", "WIDTHxHEIGHT"),
+        ("png?size=-5x20", "size", "WIDTHxHEIGHT"),
         ("png?size=5000x10", "size", "4096"),
         ("png?size=4096x1025", "size", "4194304 pixels"),
         ("png?layer=depth", "layer", "mask"),

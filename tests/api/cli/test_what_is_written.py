@@ -81,7 +81,7 @@ def test_a_raster_of_hours_has_dates_clock_and_unit(run, raster, tmp_path, quant
     assert words in about
     wanted = {
         "QUANTITY": quantity, "DATE": "2024-12-20", "DATE_TO": "2024-12-22", "DATES": "3", "WINDOW": "08:00-16:00",
-        "CLOCK": "+01:00", "STEP_MIN": "60", "MIN_ALTITUDE_DEG": "0", "HEIGHT_M": "0",
+        "CLOCK": "+01:00", "STEP_MIN": "60", "LEAST_ALTITUDE_DEG": "0", "HEIGHT_M": "0",
     }  # fmt: skip
     assert {name: tags.get(name) for name in wanted} == wanted
     assert tags.get("THRESHOLD_H") == ("2" if quantity == "days" else None)

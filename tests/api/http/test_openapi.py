@@ -99,7 +99,7 @@ def test_operation_example_is_answered(client: Client, document: dict[str, Any],
     operation = document["paths"][path][method.lower()]
     body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
     if path == "/readyz":
-        client.get("/levels/hills/plan")  # by now a render process is ready
+        client.get("/levels/hills/plan")  # by now a render worker is ready
     answer = client.request(method, address_of(operation), json=body)
     status = 404 if path in OF_A_JOB else 202 if path == ASKED_FOR else 200
     assert answer.status_code == status, answer.text
@@ -241,7 +241,7 @@ def test_schemathesis_finds_no_fault_in_two_minutes(folder: Path, hills_level: P
     animations = {"max_animation_pixels": 2**14, "animations_waiting": 1000, "animation_abandoned_s": 1.0}
     settings = Settings(workers=1, max_snapshot_pixels=2**16, new_suns_per_minute=0, **animations)
     with running(create_app(settings, levels)) as client:
-        assert client.get("/levels/hills/plan").status_code == 200  # by now a render process is ready
+        assert client.get("/levels/hills/plan").status_code == 200  # by now a render worker is ready
         asked = tmp_path / "openapi.json"
         asked.write_text(json.dumps(narrowed(client.get("/openapi.json").json())), encoding="utf-8")
         command = [

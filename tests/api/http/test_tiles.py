@@ -254,7 +254,7 @@ def test_concurrent_tiles_of_a_block_are_rendered_once(client: Client):
     assert drawn == 1
 
 
-def test_the_service_answers_while_a_block_is_drawn(client: Client):
+def test_service_answers_while_a_block_is_drawn(client: Client):
     """The bound of 1 s is far above an idle event loop's latency, and far below a block's time on one thread of a rasteriser."""
     done = threading.Event()
 

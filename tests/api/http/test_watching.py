@@ -146,7 +146,7 @@ def test_access_log_is_optional_and_has_no_forged_lines(
         quiet.get("/levels")
         quiet.get("/healthz")
         told.get("/levels?x=%0Aforged%20line")
-        told.get("/healthz")  # the line before is written by now
+        told.get("/healthz")  # after this the previous line has been written
     (record,) = [each for each in caplog.records if each.name == "skugga.access" and each.fields["path"] == "/levels"]
     # Both services were asked for their levels; only the one with an access log wrote a line.
     assert "forged" in record.fields["query"]

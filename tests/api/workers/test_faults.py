@@ -140,7 +140,7 @@ def test_a_process_killed_during_warm_up_is_restarted(serve_with):
         os.kill(worker.pid, signal.SIGKILL)
         answer = waiting.result()
     problem = check_problem(answer, 503, "worker_start", None)
-    assert "OpenGL" not in problem["detail"] and "started again" in problem["detail"]
+    assert "OpenGL" not in problem["detail"] and "restarted" in problem["detail"]
     assert int(answer.headers["retry-after"]) >= 1
     go.release()
     until(lambda: client.get("/readyz").status_code == 200)
