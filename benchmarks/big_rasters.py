@@ -83,7 +83,7 @@ def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
         return BigRaster(path, side, 0.0)
     phase = (VRT_CELLS - side) // 2 % SHEET  # the virtual raster's sheets begin at its corner
     cols = (np.arange(side) + phase) % SHEET
-    with cog(path, CRS.from_epsg(EPSG), transform_of(side), (side, side), 1, "int16", NODATA, smooth=True) as file:
+    with cog(path, CRS.from_epsg(EPSG), transform_of(side), (side, side), 1, "int16", NODATA, is_smooth=True) as file:
         for row in range(0, side, STRIP_ROWS):
             rows = (np.arange(row, min(row + STRIP_ROWS, side)) + phase) % SHEET
             file.write(row, 0, sheet[np.ix_(rows, cols)])

@@ -64,7 +64,7 @@ def measured(instance: ViewInstance, data: Path) -> Figures:
     """Return an instance's record: its descriptor as ``POST /plan`` takes it, times and errors of its rows, and by choice
     the row.
 
-    ``error`` is the figure of targets: ``wrong`` without cast shadow, of which there is no share then.
+    ``error`` is the figure of targets: ``wrong`` without cast shadow, since ``wrong_cast`` is a share of it.
     """
     with tempfile.TemporaryDirectory() as folder:
         scene, view = instance.opened(data, Path(folder))

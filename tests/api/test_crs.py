@@ -99,10 +99,14 @@ def all_crs(kinds: tuple[PJType, ...]) -> list[tuple[str, tuple[float, float, fl
 
 
 def middle_of(area: tuple[float, float, float, float] | None) -> tuple[float, float]:
-    """Return a place in an area of use. In the area of a whole globe it avoids poles and axes."""
+    """Return a place in an area of use.
+
+    In the area of a whole globe it avoids poles, axes and multiples of 5 degrees of latitude: PROJ interpolates the projection
+    between these, and its inverse has a kink there.
+    """
     if area is None or area[2] - area[0] > 300.0:
         south, north = (-80.0, 80.0) if area is None else (area[1], area[3])
-        return 12.0, float(np.clip(20.0, south + 1.0, north - 1.0))
+        return 12.0, float(np.clip(21.3, south + 1.0, north - 1.0))
     west, south, east, north = area
     lon = (west + east + (360.0 if east < west else 0.0)) / 2.0
     return (lon + 180.0) % 360.0 - 180.0, float(np.clip((south + north) / 2.0, -89.0, 89.0))
