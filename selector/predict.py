@@ -50,7 +50,7 @@ class PlanOptions:
     observed_basis: str = "measured"
 
     def basis(self, light: str, which: int) -> str:
-        """Return the word for how the figures of an option are known."""
+        """Return the word for the origin of an option's figures: observed or ``expected``."""
         return self.observed_basis if which in self.lights[light].seen else "expected"
 
     @property

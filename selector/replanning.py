@@ -45,7 +45,7 @@ SWITCH_TIME_GAIN = 0.2
 """Share of the time that a new plan must save to count as better."""
 
 SWITCH_ERROR_GAIN = 0.1
-"""Share of the target by which the kept plan must miss it more than the new one, for the new one to count as better."""
+"""Share of the target by which a new plan's miss must be smaller than the kept plan's, to count as better."""
 
 PATIENCE = 5
 """Number of consecutive better plans before a switch."""

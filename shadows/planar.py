@@ -84,7 +84,7 @@ class Projection:
 
     @property
     def reaches_ground(self) -> bool:
-        """Whether a light above the ground and at least one caster exist."""
+        """Whether the light is above the ground and there are casters."""
         return bool(self.light_m[2] > 0.0 and (self.meshes or (self.trees is not None and len(self.trees))))
 
 

@@ -78,11 +78,13 @@ def _ice(latitude_deg: np.ndarray, heights_m: np.ndarray) -> np.ndarray:
 
 
 def _arid(latitude_deg: np.ndarray) -> np.ndarray:
+    """Return the share of desert colours at latitudes."""
     (rises, full), (falls, none) = ARID_DEG
     away = np.abs(latitude_deg)
     return MAX_ARID * smoothstep((away - rises) / (full - rises)) * smoothstep((none - away) / (none - falls))
 
 
 def _tundra(latitude_deg: np.ndarray) -> np.ndarray:
+    """Return the share of tundra colours at latitudes."""
     shares = [smoothstep((latitude_deg - begins) / (ends - begins)) for begins, ends in TUNDRA_DEG]
     return np.maximum(*shares)

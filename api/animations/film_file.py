@@ -29,7 +29,7 @@ class FilmFile:
         return self._file.closed
 
     def reading(self, first: int, end: int) -> FilmReader:
-        """Return a reading of the bytes from ``first`` to before ``end``, for one client. The film must not be closed."""
+        """Return a reader of the bytes from ``first`` to before ``end``, for one client. The film must not be closed."""
         with self._lock:
             self._hold_count += 1
         return FilmReader(self, first, end)

@@ -38,7 +38,7 @@ def call_after_import(name: str, hook: Hook) -> Callable[[], None]:
 
 
 class _Finder(MetaPathFinder):
-    """Finds the modules that hooks wait for where other finders find them, and has their loaders call the hooks."""
+    """Import finder that wraps the loaders of modules with hooks, so that the hooks are called after the import."""
 
     def __init__(self) -> None:
         self._hooks: dict[str, list[Hook]] = {}

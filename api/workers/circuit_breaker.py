@@ -42,7 +42,7 @@ class CircuitBreaker:
         return max(max((self._record(key).until - self._clock() for key in _keys(job)), default=0.0), 0.0)
 
     def failed(self, job: Job) -> None:
-        """Record a job that timed out or ended its process."""
+        """Record a job that timed out or crashed its process."""
         for key in _affected_keys(job):
             record = self._record(key)
             record = replace(record, failures=record.failures + 1)

@@ -28,7 +28,7 @@ MIN_SAVING = 0.03
 """Expected gain, at least, of a candidate that is drawn: a share of the leader's time, or of its error if it misses the target."""
 
 MIN_SAVING_UNLIMITED = 0.002
-"""The same without a time limit."""
+"""``MIN_SAVING`` for probes without a time limit."""
 
 TIME_NOISE = 0.12
 """Standard deviation of the logarithm of a time that a probe measures.

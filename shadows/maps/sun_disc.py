@@ -29,7 +29,7 @@ WIDEST_TEXELS = 64
 """Upper bound of half the disc's width across the map. Penumbrae of farther casters do not get wider."""
 
 MIN_DISC_TAPS = 3
-"""Taps along a side for near casters. The disc is never narrower than two texels."""
+"""Taps along a side of the filter where casters are so near that the disc is under two texels wide."""
 
 
 @cached("process", MIB)

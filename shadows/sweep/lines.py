@@ -137,7 +137,7 @@ def _run_along(p, low, high, times):
 
 @internal
 def _class_of(here, further, t, j):
-    """Return twice the column left of a line, less its cell; plus 1 if the line crosses the next column before the next row."""
+    """Return a line's class: 2 (c - j), plus 1 if it crosses column c + 1 before the next row; c is the column left of it."""
     x = snap_to_column(cubic(here, t))
     c = int(np.floor(x))
     return 2 * (c - j) + (1 if snap_to_column(cubic(further, t)) > c + 1 else 0)

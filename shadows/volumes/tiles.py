@@ -149,7 +149,7 @@ def _rectangles(tiles, cost):
 
 @internal
 def _best_cut(part):
-    """Return the cut between rows of tiles that leaves most tiles outside of the bounds of both halves.
+    """Return the cut between rows of tiles that leaves the most tiles outside of the bounds of both halves.
 
     The result is the number of these tiles, and the row of the cut.
     """

@@ -73,7 +73,7 @@ class FacingNormals(NamedTuple):
 def _is_position_independent(buffer: GeometryBuffer, light: LightPosition) -> bool:
     """Return whether the light is directional and the view is in perspective.
 
-    Then the result depends neither on where on their triangles the points lie, or were moved to, nor on which of them are queried.
+    Then the result is the same for any points on the same triangles.
     """
     return buffer.surface is None and light.w == 0.0
 
@@ -147,10 +147,10 @@ def _write_facing_facets(nodes, faces, falls, centre, row, col, ground, position
 
 @compiled
 def _write_smooth_normals(first, last, ground, smooth, lift, position, light, facing):
-    """Write the smooth ground's values at points where its normal decides.
+    """Write the smooth ground's values in two cases.
 
-    It does where the smooth normal does not face the light, and where it alone faces the light and the smooth ground lies above
-    the facet.
+    In the first its normal faces away from the light. In the second its normal alone faces the light, and the smooth ground lies
+    above the facet.
     """
     normal, crease, _, blocked, lifted = facing
     for i in range(first, last):

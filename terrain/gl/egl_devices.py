@@ -39,6 +39,7 @@ PROBE_LIMIT_S = 60.0
 """Timeout of a device probe."""
 
 _EXTENSIONS, _DRM_DEVICE_FILE, _RENDERER = 0x3055, 0x3233, 0x335F
+"""Enumerants of EGL and its extensions."""
 _GLCONTEXT_VARIABLE = "GLCONTEXT_DEVICE_INDEX"
 
 log = logging.getLogger("skugga")

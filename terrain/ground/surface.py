@@ -2,7 +2,7 @@
 
 The position of a node (in the raster, and on earth at height 0) is computed exactly on every ``stride``-th node of the grid. Cubic
 Lagrange interpolation gives the others; the mapping is so smooth that the error is below a millimetre. The exact nodes are
-multiples counted from the grid's origin, never from a window: a node has the same bits in every window that shares its frame.
+every ``stride``-th from the grid's origin, whatever the window: a node has the same bits in every window that shares its frame.
 """
 
 from __future__ import annotations

@@ -194,7 +194,7 @@ def _states_no_unit(word: str) -> bool:
 
 
 def _plain_words(word: str) -> tuple[str, str]:
-    """Return a unit's word in lower case without other signs: all of it, and without the reference level of the heights."""
+    """Return the lower-case letters and digits of a unit's word, with and without the reference level of the heights."""
     whole, alone = (re.sub(r"[\W_]+", "", text).casefold() for text in (word, _LEVEL_OF_REFERENCE.sub("", word)))
     return whole, alone
 

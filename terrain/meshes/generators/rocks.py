@@ -17,7 +17,7 @@ FALLEN, UNROOFED = (4, 10), 7
 TRILITHONS_DEG, TRILITHON_RADIUS_M, HALF_SPAN_DEG = (45.0, 135.0, 225.0), 4.6, 18.5
 
 UPRIGHT_M, TALL_M, LINTEL_M, LYING_M = (1.15, 2.0, 4.2), (1.2, 1.9, 5.6), (1.1, 4.5, 0.95), (1.7, 4.3, 1.1)
-"""Sizes in the radial, tangential and vertical direction."""
+"""Sizes of ring uprights, trilithon uprights, lintels and fallen stones, metres: radial, tangential, vertical."""
 
 UPRIGHT_CELLS, LINTEL_CELLS = (4, 5, 10), (4, 8, 4)
 
