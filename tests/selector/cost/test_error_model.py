@@ -246,7 +246,11 @@ def test_smoothed_ladder_spreads_a_single_hit():
     assert one_hit == pytest.approx((0.0, 0.001, 0.001, 0.001, 0.0, 0.0, 0.0, 0.0))
 
 
-@given(st.lists(st.floats(0.0, 1.0), min_size=len(TEXEL_LADDER_PX), max_size=len(TEXEL_LADDER_PX)))
+SHARE = st.integers(0, 10**9).map(lambda count: count / 1e9)
+"""Shares as they are measured: counts among a billion pixels at most, and no numbers below the smallest normal one."""
+
+
+@given(st.lists(SHARE, min_size=len(TEXEL_LADDER_PX), max_size=len(TEXEL_LADDER_PX)))
 def test_smoothed_ladder_stays_between_pooled_shares(differs):
     found = smoothed_ladder(tuple(differs))
     assert all(0.0 <= each <= 1.0 for each in found) and found[-1] == pytest.approx(differs[-1])

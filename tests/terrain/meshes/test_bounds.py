@@ -153,7 +153,7 @@ def gltf(path, accessor: int | None = None, count: object = 3, nodes: list[dict]
 @pytest.mark.parametrize("count", [-3, 2**31, 10**12, 1.5, "3", None])
 @pytest.mark.parametrize("accessor", [0, 1])
 def test_gltf_with_impossible_counts_is_rejected(tmp_path, accessor, count):
-    with pytest.raises(SourceError, match=f"accessor {accessor} of {count} numbers"):
+    with pytest.raises(SourceError, match=f"accessor {accessor} has {count} elements"):
         read_model(gltf(tmp_path / "a.gltf", accessor, count))
 
 
