@@ -44,7 +44,7 @@ def turned(triangles: np.ndarray) -> np.ndarray:
     return np.where((area < 0)[:, None, None], triangles[:, ::-1], triangles)
 
 
-def mean_volume_layers(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+def count_layers_before(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return how many triangles (t, 3, 3) int64, borders included, lie before points (n, 3) int64, in exact arithmetic."""
     count = np.zeros(len(points), np.int64)
     for corners in triangles:
@@ -116,7 +116,7 @@ def test_classify_points_is_right_where_certain(seed: int) -> None:
     rng = np.random.default_rng(seed)
     triangles = soup(rng)
     points = anywhere(triangles, 3000, rng)
-    before = mean_volume_layers(triangles, points)
+    before = count_layers_before(triangles, points)
     moved = rng.uniform(-1e-6, 1e-6, (2, len(points)))  # within the error of rounding
     found = classify_points(
         known_of(triangles), points[:, 0] / GRID + moved[0], points[:, 1] / GRID + moved[1], points[:, 2] / GRID, 1e-9
@@ -131,7 +131,7 @@ def test_classify_points_on_casters_is_right_where_certain(seed: int) -> None:
     rng = np.random.default_rng(seed)
     triangles = soup(rng)
     points = on(triangles, 3000, rng)
-    before = mean_volume_layers(triangles, points)
+    before = count_layers_before(triangles, points)
     found = classify_points(known_of(triangles), *(points / GRID).T, 1e-9, on_caster=True)
     assert not before[found == LIT].any()
     assert (before[found == SHADED] > 0).all()
