@@ -76,6 +76,8 @@ def _first_error(error: RequestValidationError) -> InputError:
     if detail["type"] == UNKNOWN_KEY:
         where = ".".join([*map(str, path), detail["ctx"]["key"]])
         return InputError(where, Problem("unknown key"), f"Allowed keys: {detail['ctx']['known']}")
+    if detail["type"] == "extra_forbidden":
+        return InputError(name, Problem("unknown key"), "Omit it")
     if detail["type"] == "model_attributes_type":
         return InputError(name, detail.get("input"), "an object")
     allowed = detail["msg"].removeprefix("Input should be ")

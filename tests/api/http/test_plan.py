@@ -208,6 +208,13 @@ def test_extreme_numbers_are_refused_by_name(client: Client, facts: dict, number
     assert "pixel_m" in answer.json()["detail"]
 
 
+def test_unknown_fact_is_named(client: Client, facts: dict):
+    answer = client.post("/plan", json=facts | {"shadowyness": 1})
+    problem = answer.json()
+    assert answer.status_code == 422
+    assert (problem["parameter"], problem["detail"]) == ("shadowyness", "shadowyness: unknown key. Omit it.")
+
+
 def test_missing_fact_is_named(client: Client, facts: dict):
     check_problem(
         client.post("/plan", json={key: facts[key] for key in facts if key != "node_m"}), 422, "invalid_parameter", "node_m"
