@@ -63,9 +63,12 @@ class InputError(SkuggaError):
     ----------
     others
         Further errors of the same input (``combined_error``); the message has a line for each.
+    conflicting_name
+        The other parameter of a ``conflict``.
     """
 
     others: tuple[InputError, ...] = ()
+    conflicting_name: str | None = None
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
         self.name = name
@@ -82,7 +85,9 @@ class InputError(SkuggaError):
     @classmethod
     def conflict(cls, name: str, other: str, remedy: str = CONFLICT_REMEDY) -> Self:
         """Return the error of two parameters that exclude each other."""
-        return cls(name, Problem(f"cannot be combined with {other}"), remedy)
+        error = cls(name, Problem(f"cannot be combined with {other}"), remedy)
+        error.conflicting_name = other
+        return error
 
     @classmethod
     def over_limit(cls, name: str, given: str, limit: str, remedy: str) -> Self:
@@ -92,6 +97,12 @@ class InputError(SkuggaError):
     def renamed(self, name: str) -> Self:
         """Return the same error of a parameter by another name."""
         return type(self)(name, self.value, self.allowed)
+
+    def prefixed(self, prefix: str) -> Self:
+        """Return the same error with a prefix, such as two dashes, before the names of its parameters."""
+        if self.conflicting_name is not None:
+            return self.conflict(prefix + self.name, prefix + self.conflicting_name, self.allowed)
+        return self.renamed(prefix + self.name)
 
 
 class LevelError(InputError):

@@ -16,6 +16,7 @@ from pyproj.exceptions import CRSError
 
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.tables import wide_console
+from skugga.api.cli.times import read_time
 from skugga.api.cli.warnings import print_warnings
 from skugga.api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
 from skugga.api.point.polar_picture import sky_picture
@@ -28,7 +29,7 @@ from skugga.terrain.compiling.ahead_of_time import POINTS
 from skugga.terrain.compiling.hooks import declare_product
 from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.clock import parse_clock, parse_date
-from skugga.terrain.level.level import load_level, parse_sun
+from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
@@ -145,9 +146,7 @@ def report_line(level: LevelSource, file: Path, options: PointOptions, start: st
     """
     points = read_track(file, every_m, options.height)
     if start is not None:
-        spec = parse_sun(start, None, None)
-        assert spec is not None and spec.time is not None
-        points = with_arrivals(points, spec.time, speed_kmh)
+        points = with_arrivals(points, read_time("--start", start), speed_kmh)
     _report_many(level, points, options)
 
 

@@ -17,7 +17,7 @@ from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.product_parameters import split_product_options
 from skugga.api.cli.progress import ProgressLines
 from skugga.api.cli.tables import named_table
-from skugga.api.cli.times import TIME_WORD, paths_by_time, suns_from_options
+from skugga.api.cli.times import TIME_WORD, paths_by_time, sun_from_options, suns_from_options
 from skugga.api.matrices import ZoomRange
 from skugga.api.products import product_named
 from skugga.api.products.product import MapFormat
@@ -36,7 +36,7 @@ from skugga.selector.formatting import format_duration
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.algorithm_names import served_algorithms
-from skugga.terrain.level.level import parse_algorithm, parse_sun
+from skugga.terrain.level.level import parse_algorithm
 from skugga.terrain.level.level_source import LevelSource
 
 if TYPE_CHECKING:
@@ -80,11 +80,8 @@ def seed_level(level: LevelSource, options: SeedOptions, declared_options: dict[
     check_seeded_format(options.layer, options.format)
     if declared_options.get("algorithm") is not None:
         parse_algorithm(declared_options["algorithm"], "--algorithm", names=served_algorithms())
-    suns = tuple(
-        suns_from_options(
-            parse_sun(options.time, options.azimuth, options.altitude), options.times, options.start, options.end, options.step
-        )
-    )
+    sun = sun_from_options(options.time, options.azimuth, options.altitude)
+    suns = tuple(suns_from_options(sun, options.times, options.start, options.end, options.step))
     if len(suns) > 1 and product_named(options.layer).when == "none":
         raise InputError("--layer", options.layer, "a layer that changes with the sun, for several times")
     paths = paths_by_time(options.output, suns)

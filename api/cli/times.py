@@ -17,6 +17,14 @@ TIME_WORD = "{time}"
 """Placeholder of the time in a file name."""
 
 
+def sun_from_options(time: str | None, azimuth: float | None, altitude: float | None) -> SunSpec | None:
+    """Return the sun of ``--time``, or of ``--azimuth`` and ``--altitude``; ``None`` without these. Raises ``InputError``."""
+    try:
+        return parse_sun(time, azimuth, altitude)
+    except InputError as error:
+        raise error.prefixed("--") from None
+
+
 def suns_from_options(
     sun: SunSpec | None, times: str | None, start: str | None, end: str | None, step: str | None
 ) -> Sequence[SunSpec | None]:
@@ -34,13 +42,13 @@ def suns_from_options(
     if len(used_options) > 1:
         raise InputError.conflict(used_options[1], used_options[0])
     if times is not None:
-        return [parse_sun(text, None, None) for text in times.split(",")]
+        return [SunSpec(time=read_time("--times", text)) for text in times.split(",")]
     if not used_steps:
         return [sun]
     if start is None or end is None or step is None:
         missing = next(name for name, value in steps.items() if value is None)
         raise InputError.missing(missing, "Give --from, --to and --step together")
-    first, last = (_read_time(name, text) for name, text in (("--from", start), ("--to", end)))
+    first, last = (read_time(name, text) for name, text in (("--from", start), ("--to", end)))
     every = read_duration("--step", step)
     count = (last - first) // every + 1
     if not 1 <= count <= MAX_TIMES:
@@ -65,7 +73,8 @@ def paths_by_time(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
     return paths
 
 
-def _read_time(name: str, text: str) -> datetime:
+def read_time(name: str, text: str) -> datetime:
+    """Return a time from text with an offset. Raises ``InputError``, which names the option."""
     try:
         sun = parse_sun(text, None, None)
     except InputError as error:

@@ -400,36 +400,38 @@ def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
         raise InputError(name, changes.get(name), allowed) from None
 
 
+ALLOWED_ANGLES = {"azimuth": "-360 to 720 degrees", "altitude": "-90 to 90 degrees"}
+
+
 def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -> SunSpec | None:
     """Return the sun of query or command-line parameters; ``None`` if all are ``None``. Raises ``InputError``.
 
     Accepts a space instead of the ``+`` of a time's offset, because URLs decode ``+`` to a space.
     """
-    if time is None and azimuth is None and altitude is None:
+    angles = {name: angle for name, angle in (("azimuth", azimuth), ("altitude", altitude)) if angle is not None}
+    if time is None and not angles:
         return None
+    if time is not None and angles:
+        raise InputError.conflict("time", next(iter(angles)))
+    if len(angles) == 1:
+        raise InputError.missing("altitude" if "azimuth" in angles else "azimuth", "Give both angles of the sun, or a time")
+    fields: dict[str, Any] = dict(angles)
     if time is not None:
-        written = time.strip()
-        head, space, tail = written.rpartition(" ")
+        text = time.strip()
+        head, space, tail = text.rpartition(" ")
         if space and "T" in head:
-            written = f"{head}+{tail}"
+            text = f"{head}+{tail}"
         try:
-            moment = parse_time(written)
+            fields["time"] = parse_time(text)
         except ValueError:
             raise InputError("time", time, ALLOWED_TIMES) from None
-        fields: dict[str, Any] = {"time": moment, "azimuth": azimuth, "altitude": altitude}
-    else:
-        fields = {"azimuth": azimuth, "altitude": altitude}
     try:
         return SunSpec(**fields)
     except ValidationError as error:
         detail = error.errors()[0]
-        parameters = {
-            key: value for key, value in (("time", time), ("azimuth", azimuth), ("altitude", altitude)) if value is not None
-        }
-        name = ".".join(str(part) for part in detail["loc"]) or ("time" if time else "azimuth, altitude")
-        parameter_text = ", ".join(f"{key}={value}" for key, value in parameters.items())
-        value = parameters[name] if name in parameters and (len(parameters) == 1 or name != "time") else parameter_text
-        raise InputError(name, value, detail["msg"].removeprefix("Input should be ")) from None
+        name = str(detail["loc"][0]) if detail["loc"] else "time"
+        allowed = ALLOWED_ANGLES.get(name, detail["msg"].removeprefix("Input should be "))
+        raise InputError(name, time if name == "time" else angles[name], allowed) from None
 
 
 TEXT_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")

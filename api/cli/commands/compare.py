@@ -55,12 +55,12 @@ def compare(
     """Compare algorithms and settings with ray-traced truth: error against time."""
     from skugga.api.cli.outputs import check_targets
     from skugga.api.cli.snapshot import scene_and_view
+    from skugga.api.cli.times import sun_from_options
     from skugga.api.report.comparison import check_outputs, show, write
     from skugga.selector.measure.compare import TIME_LIMIT_S
     from skugga.selector.measure.compare import compare as measure
-    from skugga.terrain.level.level import parse_sun
 
-    sun, shape = parse_sun(time, azimuth, altitude), read_size(size)
+    sun, shape = sun_from_options(time, azimuth, altitude), read_size(size)
     check_outputs(output, json_file)
     pictures = [] if output is None else sorted(output.glob("*.png"))
     check_targets(level, [("--json", json_file), *(("--output", each) for each in pictures)])

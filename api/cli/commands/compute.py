@@ -13,8 +13,8 @@ from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.options import overrides_of, with_shadow_options
 from skugga.api.cli.product_parameters import split_product_options, with_product_options
 from skugga.api.cli.progress import ProgressBar
+from skugga.api.cli.times import sun_from_options
 from skugga.api.products import RASTER_PRODUCTS, product_named
-from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.level_source import LevelSource
 
 
@@ -41,7 +41,7 @@ def compute_raster(
     from skugga.api.request import ProductRequest
 
     options, shadows = split_product_options(product_named(product, RASTER_PRODUCTS, "--product"), declared_options)
-    request = ProductRequest(product=product, options=options, sun=parse_sun(time, azimuth, altitude))
+    request = ProductRequest(product=product, options=options, sun=sun_from_options(time, azimuth, altitude))
     place = OutputGrid(read_bounds(bounds), crs, resolution, like)
     with ProgressBar("Computing") as advance:
         write_product(level, output, [request], place, overrides_of("render", shadows), advance)

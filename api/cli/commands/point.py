@@ -49,9 +49,9 @@ def sun_at_point(
 ) -> None:
     """Report the sun at a point: lit or in shadow and of what, the day's sun, the horizon."""
     from skugga.api.cli.point import PointOptions, check_point_options, report_line, report_point, report_points
-    from skugga.terrain.level.level import parse_sun
+    from skugga.api.cli.times import sun_from_options
 
-    sun = parse_sun(time, None, None)
+    sun = sun_from_options(time, None, None)
     options = PointOptions(at, crs, sun, date, clock, height, year, horizon, output, picture, as_json)
     check_point_options(options, points, line, start)
     if points is not None:

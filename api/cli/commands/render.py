@@ -26,11 +26,11 @@ from skugga.api.cli.options import overrides_of, with_shadow_options
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.product_parameters import split_product_options, with_product_options
 from skugga.api.cli.progress import ProgressBar
+from skugga.api.cli.times import sun_from_options
 from skugga.api.products import PRODUCTS, product_named
 from skugga.api.products.product import Product
 from skugga.terrain.atomic_files import write_atomically
 from skugga.terrain.errors import InputError
-from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import StyleName
 
@@ -104,7 +104,7 @@ def render(
     if film.used_names:
         if light is not None:
             raise InputError.conflict("--light", film.used_names[0], "Leave out --light: films show all lights")
-        sun, style_overrides = parse_sun(time, azimuth, altitude), (style, slope_exaggeration)
+        sun, style_overrides = sun_from_options(time, azimuth, altitude), (style, slope_exaggeration)
         view_options = read_size(size), read_bounds(bounds), crs, seconds
         render_film(
             level, output, film, view, layer, sun, overrides_of("render", declared_options), *view_options, style_overrides, stats
@@ -114,7 +114,7 @@ def render(
     check_targets(level, [("--output", output), ("--stats", stats)])
     overrides = overrides_of("render", declared_options)
     with ProgressBar("Rendering") as advance:
-        request = ProductRequest(product=layer, options=options, sun=parse_sun(time, azimuth, altitude))
+        request = ProductRequest(product=layer, options=options, sun=sun_from_options(time, azimuth, altitude))
         place, style_overrides = (read_size(size), read_bounds(bounds), crs), (style, slope_exaggeration)
         result = snapshot(level, view, request, overrides, *place, advance, seconds, light, max_ms, style_overrides)
     result.write(request, output)

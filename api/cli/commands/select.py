@@ -27,8 +27,8 @@ from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.options import overrides_of, with_shadow_options
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.progress import spinner
+from skugga.api.cli.times import sun_from_options
 from skugga.selector.choices import PolicyName
-from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.level_source import LevelSource
 
 if TYPE_CHECKING:
@@ -91,12 +91,12 @@ def select(
         check_conflicts(option, view, {"size": size, "bounds": bounds, "crs": crs, "descriptor": descriptor})
     if all_scales:
         check_conflicts("--all-scales", view, {"all-views": all_views or None, "seconds": seconds})
-        _probe_all_scales(level, policy, overrides, parse_sun(time, azimuth, altitude), budget, as_json, write)
+        _probe_all_scales(level, policy, overrides, sun_from_options(time, azimuth, altitude), budget, as_json, write)
         return
     if all_views:
-        _select_all(level, policy, budget, overrides, parse_sun(time, azimuth, altitude), seconds, as_json, write)
+        _select_all(level, policy, budget, overrides, sun_from_options(time, azimuth, altitude), seconds, as_json, write)
         return
-    view_options = parse_sun(time, azimuth, altitude), read_size(size), read_bounds(bounds), crs, seconds
+    view_options = sun_from_options(time, azimuth, altitude), read_size(size), read_bounds(bounds), crs, seconds
     with spinner({"measure": "Measuring", "probe": "Probing"}.get(policy, "Choosing")):
         choice = plan_level_view(level, view, policy, overrides, *view_options, ignore_pin=write, budget=budget)
         message = pin_plan(choice) if write else None

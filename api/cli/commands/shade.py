@@ -13,9 +13,8 @@ from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.options import overrides_of, with_shadow_options
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.progress import ProgressBar
-from skugga.api.cli.times import suns_from_options
+from skugga.api.cli.times import sun_from_options, suns_from_options
 from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
-from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.level_source import LevelSource
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ def shade_raster(
     product_named(layer, SHADED, "--layer")
     overrides = overrides_of("render", declared_options)
     cells: Path | RasterCells | None = like
-    suns = suns_from_options(parse_sun(time, azimuth, altitude), times, start, end, step)
+    suns = suns_from_options(sun_from_options(time, azimuth, altitude), times, start, end, step)
     if stac is not None:
         check_targets(level, [("--output", output)], stac)
         suns, cells = sun_and_grid_of_item(stac, suns, like, uses_item_grid=bounds is None and crs is None and resolution is None)

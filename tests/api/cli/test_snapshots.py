@@ -261,7 +261,7 @@ def test_equal_snapshots_at_once_are_one_render(yards: Client):
         ("png?seconds=soon", "seconds", "number"),
         ("png?seconds=nan", "seconds", "finite"),
         ("png?seconds=1e300", "seconds", "1000000000"),
-        ("png?azimuth=10", "azimuth, altitude", "altitude"),
+        ("png?azimuth=10", "altitude", "missing"),
         ("png?time=yesterday", "time", "offset"),
         ("png?map_size=63", "map_size", "64"),
         ("png?depth_bits=17", "depth_bits", "24"),

@@ -365,7 +365,7 @@ def test_shutdown_dismisses_all_animations(hills_level: Path):
         ({"size": [1200, 1000], "step": "1m"}, "size", "SKUGGA_MAX_ANIMATION_PIXELS"),
         ({"time": "2024-06-21T16:00:00+02:00"}, "time", "cannot be combined with dates"),
         ({"azimuth": 100, "altitude": 20}, "azimuth", "cannot be combined with dates"),
-        ({"azimuth": 100}, "azimuth, altitude", "azimuth and altitude"),
+        ({"azimuth": 100}, "altitude", "missing"),
         ({"style": "ugly"}, "style", "swiss"),
         ({"slope_exaggeration": 0}, "slope_exaggeration", "0.1"),
         ({"algorithm": "truth"}, "algorithm", "shadow_map"),

@@ -152,13 +152,24 @@ def test_parse_sun_reads_request_parameters():
     for wrong, name in (
         (("yesterday", None, None), "time"),
         (("2024-06-01T12:00:00", None, None), "time"),
-        ((None, 10.0, None), "azimuth, altitude"),
+        ((None, 10.0, None), "altitude"),
+        ((None, None, 10.0), "azimuth"),
         ((None, 10.0, 91.0), "altitude"),
+        ((None, 721.0, 10.0), "azimuth"),
+        ((None, float("nan"), 10.0), "azimuth"),
         (("2024-06-01T12:00:00Z", 10.0, 20.0), "time"),
+        (("2024-06-01T12:00:00Z", None, 20.0), "time"),
     ):
         with pytest.raises(InputError) as caught:
             parse_sun(*wrong)
         assert caught.value.name == name
+
+
+def test_a_conflict_names_both_parameters_with_their_prefix():
+    with pytest.raises(InputError) as caught:
+        parse_sun("2024-06-01T12:00:00Z", None, 20.0)
+    assert str(caught.value) == "time: cannot be combined with altitude. Use one of them."
+    assert str(caught.value.prefixed("--")) == "--time: cannot be combined with --altitude. Use one of them."
 
 
 def test_relative_sources_are_relative_to_the_level(tmp_path):
