@@ -7,6 +7,8 @@ support function in ``DIRECTIONS`` directions. The polygon that these bound cont
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from skugga.terrain.cache import MIB, cached
@@ -24,13 +26,33 @@ MAX_SLOPE = 50.0
 """Maximum slope that is resolved: 89 degrees. Beyond it, or on another side of the earth, the result is unknown."""
 
 
-def facing_range_of_slopes(support: np.ndarray | None, to_sun_enu: np.ndarray) -> tuple[float | None, float | None]:
-    """Return minimum and maximum of u - (a e + b n) over all facets with slopes within the support ``support``.
+class SlopeSupport(NamedTuple):
+    """Support functions (``DIRECTIONS``,) of a ground's slopes, metres per metre.
+
+    Attributes
+    ----------
+    casting
+        Of all facets that cast shadows, the rim beyond the raster among them.
+    visible
+        Of the facets that an image shows.
+    """
+
+    casting: np.ndarray
+    visible: np.ndarray
+
+
+def facing_range_of_slopes(support: SlopeSupport | None, to_sun_enu: np.ndarray) -> tuple[float | None, float | None]:
+    """Return the minimum of u - (a e + b n) over all casting facets, and its maximum over all visible ones.
 
     Facets with a positive value face the sun. ``None`` where the slopes are unknown.
     """
     if support is None:
         return None, None
+    minimum, maximum = _facing_range_of_support(support.casting, to_sun_enu), _facing_range_of_support(support.visible, to_sun_enu)
+    return minimum[0], maximum[1]
+
+
+def _facing_range_of_support(support: np.ndarray, to_sun_enu: np.ndarray) -> tuple[float, float]:
     turn = 2.0 * np.pi / DIRECTIONS
     angle, next_support = np.arange(DIRECTIONS) * turn, np.roll(support, -1)
     # Corners of the polygon: intersections of the lines of neighbouring directions.
@@ -61,20 +83,25 @@ def facing_range_of_mesh(
 
 
 @cached("scene", 64 * MIB)
-def slope_support(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | None:
-    """Return the support (``DIRECTIONS``,) of the slopes of the level's whole ground on a map grid; ``None`` if it is unknown."""
-    surface, support, directions = Surface(world, elevation, grid), _empty_support(), _directions()
+def slope_support(world: World, elevation: Elevation, grid: Grid) -> SlopeSupport | None:
+    """Return the support of the slopes of the level's whole ground on a map grid; ``None`` if it is unknown."""
+    surface, directions = Surface(world, elevation, grid), _directions()
+    casting, visible = _empty_support(), _empty_support()
     (first_row, last_row), (first_col, last_col) = extent_on_grid(world, elevation, grid)
     for row in range(first_row, last_row, BLOCK_PX):
         for col in range(first_col, last_col, BLOCK_PX):
             rows, cols = min(BLOCK_PX, last_row - row) + 1, min(BLOCK_PX, last_col - col) + 1
             middle = float(grid.x(col + cols / 2)), float(grid.y(row + rows / 2))
             frame = world.frame_near(grid.crs, *middle)
-            normals = surface.window(row, col, rows, cols, frame).casting.sheet.normals_frame
-            _extend_support(normals.reshape(-1, 3), world.anchor_from_frame(frame)[0], directions, support)
-            if _finite_or_none(support) is None and np.isposinf(support).any():
+            window, rotation = surface.window(row, col, rows, cols, frame), world.anchor_from_frame(frame)[0]
+            _extend_support(window.sheet.normals_frame.reshape(-1, 3), rotation, directions, visible)
+            if window.rim is not None:
+                _extend_support(window.casting.sheet.normals_frame.reshape(-1, 3), rotation, directions, casting)
+            if np.isposinf(visible).any() or np.isposinf(casting).any():
                 return None
-    return _finite_or_none(support)
+    if not np.isfinite(visible).all():
+        return None
+    return SlopeSupport(np.maximum(casting, visible), visible)
 
 
 @cached("scene", MIB)
@@ -103,10 +130,6 @@ def _directions() -> np.ndarray:
 
 def _empty_support() -> np.ndarray:
     return np.full(DIRECTIONS, -np.inf)
-
-
-def _finite_or_none(support: np.ndarray) -> np.ndarray | None:
-    return support if np.isfinite(support).all() else None
 
 
 @compiled
